@@ -129,11 +129,19 @@ def digest(module: str, compiler: str) -> str:
     """Return the digest of everything on which a module's build depends: sources, Cython's version and flags."""
     content = hashlib.sha256(repr((compiler, FLAGS, SHARED_FLAGS)).encode())
     if module != SHARED:
-        text = source(module).read_bytes()
-        content.update(text)
-        for header in re.findall(rb'^#include "(.+)"$', text, re.MULTILINE) if module in C_MODULES else ():
-            content.update((source(module).parent / header.decode()).read_bytes())
+        for file in _included(source(module)) if module in C_MODULES else (source(module),):
+            content.update(file.read_bytes())
     return content.hexdigest()
+
+
+def _included(file: Path) -> list[Path]:
+    """Return a file in C and the headers that it includes."""
+    files, texts = [], [file]
+    while texts:
+        files.append(text := texts.pop().resolve())
+        headers = re.findall(r'^#include "(.+)"$', text.read_text(encoding="utf-8"), re.MULTILINE)
+        texts += [text.parent / header for header in headers if (text.parent / header).resolve() not in files]
+    return files
 
 
 def record() -> Mapping[str, str]:

@@ -6,6 +6,7 @@
 
 #define PY_SSIZE_T_CLEAN
 #include "../hub/lane/links.h"
+#include "../native.h"
 #include "output.h"
 #include <structmember.h>
 
@@ -30,13 +31,6 @@ typedef struct {
 
 static PyTypeObject *deadline_type;
 static const LinksApi *links;
-
-static void release(PyObject *self)
-{
-    PyTypeObject *type = Py_TYPE(self);
-    ((freefunc)PyType_GetSlot(type, Py_tp_free))(self);
-    Py_DECREF(type);
-}
 
 static void count(Doorway *doorway, int64_t size, double since)
 {

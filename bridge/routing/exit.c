@@ -7,6 +7,7 @@
 
 #define PY_SSIZE_T_CLEAN
 #include "../hub/lane/receiving.h"
+#include "../native.h"
 #include "output.h"
 #include <structmember.h>
 
@@ -37,13 +38,6 @@ typedef struct {
 } Exit;
 
 static char buffer[PREFIX + MAX_SIZE]; /* guarded by the interpreter's lock */
-
-static void release(PyObject *self)
-{
-    PyTypeObject *type = Py_TYPE(self);
-    ((freefunc)PyType_GetSlot(type, Py_tp_free))(self);
-    Py_DECREF(type);
-}
 
 static void add(Exit *way, int64_t latency)
 {

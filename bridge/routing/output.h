@@ -38,18 +38,4 @@ static inline bool is_held(PyObject *hold)
     return is;
 }
 
-/* Returns whether one of the calls, each the method `locked` of a lock, returns true or fails. */
-static inline bool is_any_locked(PyObject *calls)
-{
-    for (Py_ssize_t at = 0; at < PyTuple_Size(calls); at++) {
-        PyObject *answer = PyObject_CallNoArgs(PyTuple_GetItem(calls, at));
-        bool locked = answer != Py_False;
-        Py_XDECREF(answer);
-        if (locked) {
-            return true;
-        }
-    }
-    return false;
-}
-
 #endif

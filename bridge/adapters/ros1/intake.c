@@ -5,8 +5,7 @@
  */
 
 #define PY_SSIZE_T_CLEAN
-#include <Python.h>
-#include <stdbool.h>
+#include "../../native.h"
 #include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
@@ -40,13 +39,6 @@ typedef struct {
 } Intake;
 
 static PyTypeObject *stream_type;
-
-static void release(PyObject *self)
-{
-    PyTypeObject *type = Py_TYPE(self);
-    ((freefunc)PyType_GetSlot(type, Py_tp_free))(self);
-    Py_DECREF(type);
-}
 
 static double seconds(void)
 {

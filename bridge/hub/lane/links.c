@@ -5,6 +5,7 @@
  */
 
 #define PY_SSIZE_T_CLEAN
+#include "../../native.h"
 #include "links.h"
 #include <string.h>
 #include <structmember.h>
@@ -68,13 +69,6 @@ static void put64(char *at, uint64_t value)
 {
     put32(at, (uint32_t)value);
     put32(at + 4, (uint32_t)(value >> 32));
-}
-
-static void release(PyObject *self)
-{
-    PyTypeObject *type = Py_TYPE(self);
-    ((freefunc)PyType_GetSlot(type, Py_tp_free))(self);
-    Py_DECREF(type);
 }
 
 static PyObject *epoch_renew(PyObject *self, PyObject *Py_UNUSED(unused))

@@ -5,6 +5,7 @@
  */
 
 #define PY_SSIZE_T_CLEAN
+#include "../../native.h"
 #include "receiving.h"
 #include <string.h>
 #include <structmember.h>
@@ -42,13 +43,6 @@ typedef struct {
 } Sample;
 
 static PyTypeObject *track_type, *receiver_type;
-
-static void release(PyObject *self)
-{
-    PyTypeObject *type = Py_TYPE(self);
-    ((freefunc)PyType_GetSlot(type, Py_tp_free))(self);
-    Py_DECREF(type);
-}
 
 static uint32_t get32(const char *at)
 {
@@ -119,19 +113,6 @@ static void track_dealloc(PyObject *self)
 
 /* -- receivers -- */
 
-static bool is_locked(PyObject *calls)
-{
-    for (Py_ssize_t at = 0; at < PyTuple_Size(calls); at++) {
-        PyObject *answer = PyObject_CallNoArgs(PyTuple_GetItem(calls, at));
-        bool locked = answer != Py_False;
-        Py_XDECREF(answer);
-        if (locked) {
-            return true;
-        }
-    }
-    return false;
-}
-
 /* Returns the state of a sample's publisher if the sample is its next one, without a reference. */
 static Track *next_track(Receiver *receiver, PyObject *gid, const Sample *sample)
 {
@@ -152,7 +133,7 @@ static bool receive(Receiver *receiver, const Sample *sample)
     PyObject *gid = PyBytes_FromStringAndSize(sample->gid, GID);
     Track *track = gid == NULL ? NULL : next_track(receiver, gid, sample);
     bool accepted = false;
-    if (track != NULL && !is_locked(receiver->locked)) {
+    if (track != NULL && !is_any_locked(receiver->locked)) {
         long long time_ns = track->time_ns;
         Py_INCREF((PyObject *)track);
         track->last = sample->sequence; /* first: accepting may run other threads */

@@ -5,6 +5,7 @@
  */
 
 #define PY_SSIZE_T_CLEAN
+#include "../../../native.h"
 #include "../../../routing/output.h"
 #include <stdint.h>
 #include <structmember.h>
@@ -36,13 +37,6 @@ typedef struct {
 } Outputs;
 
 static PyTypeObject *socket_type;
-
-static void release(PyObject *self)
-{
-    PyTypeObject *type = Py_TYPE(self);
-    ((freefunc)PyType_GetSlot(type, Py_tp_free))(self);
-    Py_DECREF(type);
-}
 
 /* -- sockets -- */
 

@@ -4,6 +4,7 @@
  */
 
 #define PY_SSIZE_T_CLEAN
+#include "../../../native.h"
 #include "../../../routing/output.h"
 #include <stdint.h>
 #include <structmember.h>
@@ -27,13 +28,6 @@ typedef struct {
     long long written;
     char open;
 } Writer;
-
-static void release(PyObject *self)
-{
-    PyTypeObject *type = Py_TYPE(self);
-    ((freefunc)PyType_GetSlot(type, Py_tp_free))(self);
-    Py_DECREF(type);
-}
 
 static bool is_ready(PyObject *self)
 {
