@@ -219,7 +219,7 @@ static PyMemberDef doorway_members[] = {
 static PyGetSetDef doorway_getters[] = {{"carried", doorway_carried, NULL, NULL, NULL}, {NULL}};
 static PyMethodDef doorway_methods[] = {
     {"admit", doorway_admit, METH_VARARGS, "Send the messages of a source by a sender, while nothing prevents it."},
-    {"dismiss", doorway_dismiss, METH_O, "End that."},
+    {"dismiss", doorway_dismiss, METH_O, "Leave the messages of a source to the route again."},
     {NULL, NULL, 0, NULL},
 };
 static PyType_Slot doorway_slots[] = {

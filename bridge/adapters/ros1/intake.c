@@ -114,7 +114,7 @@ static bool read_stream(Stream *stream, int descriptor, char *buffer)
             keep_error(stream);
         }
     }
-    stream->reading = stream->rest != NULL;
+    stream->reading = stream->rest != NULL || stream->error != NULL; /* until Python takes it */
     return stream->direct;
 }
 

@@ -323,6 +323,9 @@ static void report_error(Node *node, PyObject *source)
     PyObject *type, *value, *traceback;
     PyErr_Fetch(&type, &value, &traceback);
     PyErr_NormalizeException(&type, &value, &traceback);
+    if (value != NULL && traceback != NULL) {
+        PyException_SetTraceback(value, traceback);
+    }
     PyObject *done = value == NULL ? NULL : PyObject_CallMethod(node->reader, "failed", "OO", source, value);
     if (done == NULL) {
         PyErr_WriteUnraisable(node->reader);

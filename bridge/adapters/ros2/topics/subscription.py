@@ -93,16 +93,24 @@ class Ros2Subscription:
             if not wanted and not self._readers:
                 wanted = {ReaderClass(self.qos.reliability, self.qos.durability)}
             # a publisher's class may depend on the other publishers; see `_class_of`
-            self._sources = {
+            sources = {
                 gid: _Source(publisher.id, self._class_of(publisher, publishers.values()))
                 for gid, publisher in publishers.items()
             }
+            ids: dict[ReaderClass, dict[bytes, str]] = {}
+            for gid, source in sources.items():
+                ids.setdefault(source.reader_class, {})[gid] = source.id
+            for reader_class, reader in self._readers.items():
+                if reader.sources != ids.get(reader_class, {}):
+                    reader.set_sources({})  # first: a reader of another class may deliver its publishers' messages now
+            self._sources = sources
             for new in wanted - self._readers.keys():
                 self._readers[new] = self._open(new)
             for old in self._readers.keys() - wanted if wanted else ():
                 self._loop.remove(self._readers.pop(old))
             for reader_class, reader in self._readers.items():
-                reader.set_sources({g: s.id for g, s in self._sources.items() if s.reader_class == reader_class})
+                if reader.sources != ids.get(reader_class, {}):
+                    reader.set_sources(ids.get(reader_class, {}))
 
     def _open(self, reader_class: ReaderClass) -> ClassReader:
         min_depth = LATCHED_DEPTH if reader_class.durability is Durability.TRANSIENT_LOCAL else VOLATILE_DEPTH
@@ -179,7 +187,7 @@ class Ros2Subscription:
 
 
 class ClassReader(EndpointReader):
-    """One DDS reader of a subscription."""
+    """One DDS reader of a subscription; ``sources`` are the ids of publishers whose messages the queue delivers."""
 
     def __init__(
         self, owner: Ros2Subscription, reader_class: ReaderClass, handle: Any, participant: Participant
@@ -187,7 +195,7 @@ class ClassReader(EndpointReader):
         super().__init__(participant, handle)
         self._owner, self._class, self.topic = owner, reader_class, owner.topic
         self._large = False
-        self._plain: dict[bytes, str] = {}
+        self.sources: dict[bytes, str] = {}
         self._sequences: dict[str, int] = {}
         self._room = _SEQUENCES
 
@@ -200,12 +208,12 @@ class ClassReader(EndpointReader):
     @property
     @override
     def delivers(self) -> Delivers:
-        return self._owner.deliver, self._plain, self._sequences
+        return self._owner.deliver, self.sources, self._sequences
 
     def set_sources(self, sources: Mapping[bytes, str]) -> None:
         """Set the ids of the publishers of this class, by GID; `accept` handles the messages of others."""
-        self._plain.clear()
-        self._plain.update(sources)
+        self.sources.clear()
+        self.sources.update(sources)
 
     @override
     def drain(self, taker: rcl.Taker, limit: int) -> None:
