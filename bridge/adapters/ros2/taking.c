@@ -83,6 +83,7 @@ struct Queue {
     PyThread_type_lock signal; /* a semaphore: released once for each time that `waits` becomes false */
     bool waits;
     bool woken;
+    bool ended; /* whether `wake` was called before the last messages were taken; only the taking thread uses it */
     Node *first, *last;
     Slot slots[BATCH];
 };
@@ -216,6 +217,7 @@ static size_t wait_and_take(Queue *queue, Node **large)
         PyThread_acquire_lock(queue->signal, WAIT_LOCK);
         lock(queue);
     }
+    queue->ended = queue->woken;
     queue->woken = false;
     while (queue->first != NULL && filled < BATCH && (filled == 0 || queue->first->last == 0)) {
         size_t count;
@@ -371,7 +373,8 @@ static int flush(Queue *queue)
     return done == NULL ? -1 : 0;
 }
 
-/* Waits once, and appends to the batch what the readers have to accept; returns -1 with an exception. */
+/* Waits once, and appends to the batch what the readers have to accept. Returns 1 if `queue_wait` has to return, 0 if it
+ * may wait again, and -1 with an exception. */
 static int wait_once(Queue *queue, PyObject *batch)
 {
     size_t filled;
@@ -394,7 +397,7 @@ static int wait_once(Queue *queue, PyObject *batch)
         }
         Py_XDECREF(taken);
     }
-    return filled == 0 ? 1 : 0;
+    return filled == 0 || queue->ended ? 1 : 0;
 }
 
 static PyObject *queue_wait(PyObject *self, PyObject *Py_UNUSED(unused))

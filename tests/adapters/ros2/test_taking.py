@@ -189,3 +189,35 @@ def test_wake_ends_waiting(fake: Rcl) -> None:
     fake.queue.wake()
     thread.join(20.0)
     assert received == [[]]
+
+
+def test_small_messages_of_known_publishers_are_delivered_without_the_reader(fake: Rcl) -> None:
+    delivered: list[tuple[Any, ...]] = []
+    data = fake.add("a", b"1", b"2")
+    fake.queue.deliver(data, lambda *message: delivered.append(message), {GID: "known"}, {"known": 6})
+    fake.add("b", b"3")
+    assert fake.wait() == [("b", b"3")]
+    assert delivered == [(b"1", "known", 5), (b"2", "known", 5)]
+
+
+def test_no_message_overtakes_one_that_a_reader_accepts(fake: Rcl) -> None:
+    delivered: list[tuple[Any, ...]] = []
+    unknown, known = fake.add("unknown", b"1"), fake.add("known", b"2")
+    for data, sources in ((unknown, {}), (known, {GID: "known"})):
+        fake.queue.deliver(data, lambda *message: delivered.append(message), sources, {"known": 6})
+    assert fake.wait() == [("unknown", b"1"), ("known", b"2")]
+    assert delivered == []
+
+
+def test_a_wake_up_beside_messages_ends_the_wait(fake: Rcl) -> None:
+    """Otherwise the loop would not end, or drop a reader, before the next wake-up."""
+    delivered: list[tuple[Any, ...]] = []
+    data = fake.add("a", b"1")
+    fake.queue.deliver(data, lambda *message: delivered.append(message), {GID: "known"}, {"known": 6})
+    fake.queue.wake()
+    taken: list[Any] = []
+    thread = threading.Thread(target=lambda: taken.append(fake.wait()), daemon=True)
+    thread.start()
+    thread.join(20)
+    assert taken == [[]]
+    assert delivered == [(b"1", "known", 5)]
