@@ -26,7 +26,7 @@ typedef struct {
     PyObject *error;            /* what `deliver` has raised; NULL: nothing */
     Py_ssize_t limit;
     long long messages, bytes;
-    char direct, reading;
+    char direct, closed, reading;
 } Stream;
 
 typedef struct {
@@ -78,7 +78,7 @@ static bool deliver(Stream *stream, const char *data, uint32_t size)
 static size_t deliver_all(Stream *stream, const char *data, size_t length)
 {
     size_t at = 0;
-    while (stream->direct && length - at >= PREFIX) {
+    while (stream->direct && !stream->closed && length - at >= PREFIX) {
         const unsigned char *prefix = (const unsigned char *)data + at;
         uint32_t size = prefix[0] | (uint32_t)prefix[1] << 8 | (uint32_t)prefix[2] << 16 | (uint32_t)prefix[3] << 24;
         if ((Py_ssize_t)size > stream->limit || length - at - PREFIX < size) {
@@ -98,7 +98,7 @@ static size_t deliver_all(Stream *stream, const char *data, size_t length)
 /* Reads what has arrived; returns false if Python has to read on. */
 static bool read_stream(Stream *stream, int descriptor, char *buffer)
 {
-    if (!stream->direct || stream->rest != NULL) {
+    if (!stream->direct || stream->closed || stream->rest != NULL) {
         return false;
     }
     ssize_t received = recv(descriptor, buffer, CHUNK, MSG_DONTWAIT);
@@ -115,7 +115,7 @@ static bool read_stream(Stream *stream, int descriptor, char *buffer)
         }
     }
     stream->reading = stream->rest != NULL || stream->error != NULL; /* until Python takes it */
-    return stream->direct;
+    return stream->direct && !stream->closed;
 }
 
 static PyObject *stream_take(PyObject *self, PyObject *Py_UNUSED(unused))
@@ -340,6 +340,7 @@ static void intake_dealloc(PyObject *self)
 
 static PyMemberDef stream_members[] = {
     {"direct", T_BOOL, offsetof(Stream, direct), 0, NULL},
+    {"closed", T_BOOL, offsetof(Stream, closed), 0, NULL},
     {"reading", T_BOOL, offsetof(Stream, reading), READONLY, NULL},
     {"messages", T_LONGLONG, offsetof(Stream, messages), 0, NULL},
     {"bytes", T_LONGLONG, offsetof(Stream, bytes), 0, NULL},

@@ -3,6 +3,7 @@ from collections.abc import Callable
 
 class Stream:
     direct: bool
+    closed: bool
     messages: int
     bytes: int
     @property

@@ -170,6 +170,20 @@ static PyObject *link_flush(PyObject *self, PyObject *Py_UNUSED(unused))
     return flush_or_take((Link *)self);
 }
 
+/* False also while a record that could not be sent is full. */
+static PyObject *link_ready(PyObject *self, void *Py_UNUSED(closure))
+{
+    Link *link = (Link *)self;
+    return PyBool_FromLong(link->ready && link->count < MAX_JOINED);
+}
+
+static int set_link_ready(PyObject *self, PyObject *value, void *Py_UNUSED(closure))
+{
+    int ready = value == NULL ? 0 : PyObject_IsTrue(value);
+    ((Link *)self)->ready = ready > 0;
+    return ready < 0 ? -1 : 0;
+}
+
 static PyObject *link_close(PyObject *self, PyObject *Py_UNUSED(unused))
 {
     Link *link = (Link *)self;
@@ -349,7 +363,7 @@ static PyType_Slot epoch_slots[] = {
 };
 static PyType_Spec epoch_spec = {"bridge.hub.lane.links.Epoch", sizeof(Epoch), 0, Py_TPFLAGS_DEFAULT, epoch_slots};
 
-static PyMemberDef link_members[] = {{"ready", T_BOOL, offsetof(Link, ready), 0, NULL}, {NULL}};
+static PyGetSetDef link_getters[] = {{"ready", link_ready, set_link_ready, NULL, NULL}, {NULL}};
 static PyMethodDef link_methods[] = {
     {"join", link_join, METH_VARARGS, "Join a message, and send if that is due; return the record if it cannot be sent."},
     {"flush", link_flush, METH_NOARGS, "Send the joined messages; return the record if it cannot be sent."},
@@ -359,7 +373,7 @@ static PyMethodDef link_methods[] = {
 static PyType_Slot link_slots[] = {
     {Py_tp_new, PyType_GenericNew}, {Py_tp_init, link_init}, {Py_tp_dealloc, link_dealloc},
     {Py_tp_traverse, link_traverse}, {Py_tp_clear, link_clear}, {Py_tp_methods, link_methods},
-    {Py_tp_members, link_members}, {0, NULL},
+    {Py_tp_getset, link_getters}, {0, NULL},
 };
 static PyType_Spec link_spec = {
     "bridge.hub.lane.links.Link", sizeof(Link), 0, Py_TPFLAGS_DEFAULT | Py_TPFLAGS_HAVE_GC, link_slots,

@@ -90,7 +90,7 @@ class PublisherConnection(TopicConnection):
     def close(self) -> None:
         """Stop reading; nothing is delivered from now on."""
         if self.stream is not None:
-            self.stream.direct = False
+            self.stream.closed = True
         with self._lock:
             self.done = True
             with contextlib.suppress(OSError):
