@@ -149,8 +149,9 @@ static int doorway_init(PyObject *self, PyObject *args, PyObject *Py_UNUSED(name
 static PyObject *doorway_admit(PyObject *self, PyObject *args)
 {
     PyObject *source, *sender;
+    Doorway *doorway = (Doorway *)self;
     if (!PyArg_ParseTuple(args, "OO!", &source, links->sender_type, &sender) ||
-        PyDict_SetItem(((Doorway *)self)->senders, source, sender) < 0) {
+        (doorway->senders != NULL && PyDict_SetItem(doorway->senders, source, sender) < 0)) {
         return NULL;
     }
     Py_RETURN_NONE;
@@ -159,7 +160,7 @@ static PyObject *doorway_admit(PyObject *self, PyObject *args)
 static PyObject *doorway_dismiss(PyObject *self, PyObject *source)
 {
     PyObject *senders = ((Doorway *)self)->senders;
-    if (PyDict_GetItemWithError(senders, source) != NULL) {
+    if (senders != NULL && PyDict_GetItemWithError(senders, source) != NULL) {
         PyDict_DelItem(senders, source);
     }
     return PyErr_Occurred() ? NULL : Py_NewRef(Py_None);

@@ -15,7 +15,7 @@
 #include <errno.h>
 #include <sys/epoll.h>
 #include <sys/socket.h>
-#include <time.h>
+#include "../../turn.h"
 
 enum { EVENTS = 64, CHUNK = 64 * 1024, PREFIX = 4 };
 
@@ -77,6 +77,7 @@ static bool deliver(Stream *stream, const char *data, uint32_t size)
 /* Delivers the whole small messages at the beginning of some bytes, and returns how many bytes these are. */
 static size_t deliver_all(Stream *stream, const char *data, size_t length)
 {
+    int64_t begun = milliseconds();
     size_t at = 0;
     while (stream->direct && !stream->closed && length - at >= PREFIX) {
         const unsigned char *prefix = (const unsigned char *)data + at;
@@ -91,6 +92,7 @@ static size_t deliver_all(Stream *stream, const char *data, size_t length)
             keep_error(stream);
             break;
         }
+        give_turn(&begun);
     }
     return at;
 }

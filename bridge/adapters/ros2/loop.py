@@ -160,28 +160,41 @@ class QueueReadLoop(ReadLoop):
 
     @override
     def _serve_all(self, taker: rcl.Taker) -> None:
-        joining, wait, large = Joining(), self._queue.wait, rcl.LARGE
-        while not self._stopping:
-            joining.flush()
-            for reader, payload, gid, number, sequence in wait():
+        joining = Joining()
+        try:
+            while not self._stopping:
                 try:
-                    if payload is None:
-                        joining.flush()
-                        reader.drain(taker, number)
-                        continue
-                    if len(payload) >= large:
-                        joining.flush()
-                    reader.accept(payload, gid, number, sequence)
+                    self._serve(taker, joining)
                 except Exception:
-                    _log.exception("taking messages failed")
-            while self._leaving:
-                self._drop(self._leaving.popleft())
+                    _log.exception("waiting for messages failed")
+        finally:
+            joining.end()
+
+    def _serve(self, taker: rcl.Taker, joining: Joining) -> None:
+        joining.flush()
+        for reader, payload, gid, number, sequence in self._queue.wait():
+            try:
+                if payload is None:
+                    joining.flush()
+                    reader.drain(taker, number)
+                    continue
+                if len(payload) >= rcl.LARGE:
+                    joining.flush()
+                reader.accept(payload, gid, number, sequence)
+            except Exception:
+                _log.exception("taking messages failed")
+        while self._leaving:
+            self._drop(self._leaving.popleft())
 
     def _drop(self, reader: EndpointReader) -> None:
         data = next((data for data, known in self._readers.copy().items() if known is reader), None)
         if data is not None:
-            reader.wake(None)
             del self._readers[data]
+            try:
+                reader.wake(None)
+            except rcl.RclError:
+                _log.exception("a reader stays, because rcl may still report its messages")
+                return
             self._queue.remove(data)
         reader.destroy()
 

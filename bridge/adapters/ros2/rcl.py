@@ -111,6 +111,7 @@ for _function in _NEW_CALLBACK.values():
 
 
 _PUBLISH = _address(_rcl.rcl_publish_serialized_message)
+_RESET_ERROR = _address(_rcutils.rcutils_reset_error)
 
 
 def reset_error() -> None:
@@ -200,7 +201,7 @@ _publish = _publish_by_ctypes if taking is None else taking.publish
 
 def new_writer(publisher: int, locked: Callable[[], bool]) -> writing.Writer | None:
     """Return what publishes through ``rcl_publisher_t *`` in C, while ``locked`` returns False; None: no compiler."""
-    return None if writing is None else writing.Writer(_PUBLISH, publisher, LARGE, (locked,))
+    return None if writing is None else writing.Writer(_PUBLISH, _RESET_ERROR, publisher, LARGE, (locked,))
 
 
 def serialized(payload: bytes) -> Any:

@@ -310,6 +310,7 @@ static void note_sequence(Node *node, PyObject *source, uint64_t sequence)
     PyObject *done = number == NULL ? NULL : Py_NewRef(Py_None);
     if (number != NULL && (!next || PyDict_SetItem(node->sequences, source, number) < 0)) {
         Py_DECREF(done);
+        PyErr_Clear(); /* of the dictionary, without memory */
         done = PyObject_CallMethod(node->reader, "count", "OO", source, number);
     }
     if (done == NULL) {

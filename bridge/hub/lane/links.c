@@ -276,7 +276,7 @@ static PyObject *sender_rest(PyObject *self, PyObject *args)
 
 static bool is_quiet(const Sender *sender)
 {
-    return sender->quiet_epoch == sender->epoch->value && sender->quiet_matches == sender->matches;
+    return sender->epoch != NULL && sender->quiet_epoch == sender->epoch->value && sender->quiet_matches == sender->matches;
 }
 
 static PyObject *sender_is_quiet(PyObject *self, PyObject *Py_UNUSED(unused))

@@ -13,10 +13,10 @@
 #ifndef _WIN32 /* Windows has no lanes */
 #include <errno.h>
 #include <sys/socket.h>
-#include <time.h>
+#include "../../turn.h"
 
 /* bridge.hub.lane.wire: kind, number of the key, size, number, time, length of the GID, GID; then the payload */
-enum { DATA = 1, SAMPLE = 42, GID = 16, TURN = 3 };
+enum { DATA = 1, SAMPLE = 42, GID = 16 };
 
 typedef struct {
     PyObject_HEAD
@@ -231,23 +231,12 @@ static bool receive_by_number(PyObject *receivers, const Sample *sample)
     return received;
 }
 
-static int64_t milliseconds(void)
-{
-    struct timespec now;
-    clock_gettime(CLOCK_MONOTONIC, &now);
-    return (int64_t)now.tv_sec * 1000 + now.tv_nsec / 1000000;
-}
-
 /* Hands over the messages of a record; returns -1 with an exception. */
 static int handle_messages(const char *record, size_t length, PyObject *receivers, PyObject *message)
 {
     int64_t begun = milliseconds();
     for (size_t at = 0; at < length;) {
-        if (milliseconds() - begun >= TURN) { /* other threads get a turn, as between Python's instructions */
-            Py_BEGIN_ALLOW_THREADS
-            Py_END_ALLOW_THREADS
-            begun = milliseconds();
-        }
+        give_turn(&begun);
         Sample sample = {0};
         if (length - at >= SAMPLE) {
             const char *head = record + at;

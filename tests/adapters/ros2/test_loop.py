@@ -98,40 +98,87 @@ def test_messages_are_joined_until_the_loop_waits_again(edge: RunningEdge, peer:
     lane.close()
 
 
+class Reader(EndpointReader):
+    """A reader that is ready when it is reported, and then calls ``drained``.
+
+    Its end fails if ``fails`` is set, as if rcl refused to remove the callback.
+    """
+
+    def __init__(self, drained: Callable[[], None], *, fails: bool = False) -> None:
+        self._drained, self._fails = drained, fails
+        self.waker: rcl.Waker | None = None
+        self.destroyed = False
+
+    def wake(self, waker: rcl.Waker | None) -> None:
+        if waker is None and self._fails:
+            raise rcl.RclError("waking by the subscription", 1)
+        self.waker = waker
+
+    def report(self) -> None:
+        assert self.waker is not None
+        ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_size_t)(self.waker.callback)(self.waker.data, 1)
+
+    def drain(self, _taker: rcl.Taker, _limit: int) -> None:
+        self._drained()
+
+    def destroy(self) -> None:
+        self.destroyed = True
+
+
 def test_joined_messages_do_not_wait_for_calls() -> None:
     order: list[str] = []
     served = threading.Event()
 
-    class Reader(EndpointReader):
-        waker: rcl.Waker | None = None
-
-        def __init__(self, *, small: bool) -> None:
-            self.small = small
-
-        def wake(self, waker: rcl.Waker | None) -> None:
-            self.waker = waker
-
-        def drain(self, _taker: rcl.Taker, _limit: int) -> None:
-            if self.small:
-                lane.put()
-            else:
-                order.append("sent" if lane.sent() else "joined")
-                served.set()
-
-        def destroy(self) -> None:
-            pass
+    def call() -> None:
+        order.append("sent" if lane.sent() else "joined")
+        served.set()
 
     lane, loop = JoinedLane(), QueueReadLoop()
-    for reader in (Reader(small=True), Reader(small=False)):
+    for reader in (Reader(lane.put), Reader(call)):
         loop.add(reader)
-        assert reader.waker is not None
-        report = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_size_t)(reader.waker.callback)
-        report(reader.waker.data, 1)  # both are ready in the first turn
+        reader.report()  # both are ready in the first turn
     loop.start()
     assert served.wait(20.0)
     loop.stop()
     lane.close()
     assert order == ["sent"]
+
+
+def test_joined_messages_are_sent_when_the_loop_stops() -> None:
+    lane, loop = JoinedLane(), QueueReadLoop()
+
+    def last() -> None:
+        lane.put()
+        stopper.start()
+        until(lambda: loop._stopping, "the loop stops")
+
+    stopper = threading.Thread(target=loop.stop)
+    reader = Reader(last)
+    loop.add(reader)
+    reader.report()
+    loop.start()
+    until(lambda: reader.destroyed, "the loop has stopped", 20.0)
+    stopper.join()
+    assert lane.sent()
+    lane.close()
+
+
+def test_a_reader_that_cannot_be_closed_stops_no_other(caplog: pytest.LogCaptureFixture) -> None:
+    """It stays, because rcl may still report its messages."""
+    loop, served = QueueReadLoop(), threading.Event()
+    stays, leaves, works = Reader(lambda: None, fails=True), Reader(lambda: None), Reader(served.set)
+    for reader in (stays, leaves, works):
+        loop.add(reader)
+    loop.start()
+    loop.remove(stays)
+    loop.remove(leaves)
+    until(lambda: leaves.destroyed, "the reader after it is closed", 20.0)
+    works.report()
+    assert served.wait(20.0)
+    loop.stop()
+    assert (stays.destroyed, works.destroyed) == (False, True)
+    assert "a reader stays" in caplog.text
+    stays.report()
 
 
 def test_large_messages_of_any_size_arrive_whole(edge: RunningEdge, peer: Callable[..., Peer]) -> None:

@@ -149,14 +149,14 @@ class PublisherConnection(TopicConnection):
     def _deliver_small(self) -> bool:
         """Deliver small messages; return whether a large message is next. Raises `BlockingIOError` without data."""
         stream, small = self.stream, min(self._limit, MAX_MESSAGE, _LARGE)
-        more = b""
-        if stream is not None and stream.reading:
-            self._has_partial = True
-            more = stream.take()
-        more = more or self._receive()
+        self._has_partial = True  # before it is read: from then on, the socket does not show it
+        try:
+            more = (stream.take() if stream is not None and stream.reading else b"") or self._receive()
+        except BlockingIOError:
+            self._has_partial = False
+            raise
         if not more:
             raise ConnectionResetError(_CLOSED)
-        self._has_partial = True
         buffer, at = self._partial + more if self._partial else more, 0
         end = len(buffer)
         while (begin := at + 4) <= end:
@@ -186,10 +186,12 @@ class PublisherConnection(TopicConnection):
             left = len(buffer) - at
             if left < 4:
                 self._has_partial = left > 0
+                if not left and not self._sock.recv(1, socket.MSG_PEEK):
+                    return
+                self._has_partial = True  # before it is read: from then on, the socket does not show it
                 more = self._sock.recv(4 - left if size > _LARGE else _CHUNK)
                 if not more:
                     return
-                self._has_partial = True
                 buffer, at = buffer[at:] + more, 0
                 continue
             (size,) = _LENGTH.unpack_from(buffer, at)

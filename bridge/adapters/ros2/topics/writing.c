@@ -23,6 +23,7 @@ typedef struct {
     PyObject_HEAD
     PyObject *locked;      /* tuple of the call that returns whether the writer's lock is held */
     Publish publish;       /* rcl_publish_serialized_message */
+    void (*reset_error)(void); /* rcutils_reset_error */
     const void *publisher; /* rcl_publisher_t * */
     Py_ssize_t large;      /* from this size on, Python publishes, without the interpreter's lock */
     long long written;
@@ -44,6 +45,7 @@ static bool send_message(PyObject *self, char *message, size_t size)
     }
     Bytes bytes = {message, size, size, {NULL}};
     if (writer->publish(writer->publisher, &bytes, NULL) != 0) {
+        writer->reset_error();
         return false; /* Python tries again, and raises the error */
     }
     writer->written++;
@@ -59,13 +61,14 @@ static PyObject *writer_output(PyObject *Py_UNUSED(self), void *Py_UNUSED(closur
 static int writer_init(PyObject *self, PyObject *args, PyObject *Py_UNUSED(names))
 {
     Writer *writer = (Writer *)self;
-    unsigned long long publish, publisher;
+    unsigned long long publish, reset_error, publisher;
     PyObject *locked;
-    if (!PyArg_ParseTuple(args, "KKnO!", &publish, &publisher, &writer->large, &PyTuple_Type, &locked)) {
+    if (!PyArg_ParseTuple(args, "KKKnO!", &publish, &reset_error, &publisher, &writer->large, &PyTuple_Type, &locked)) {
         return -1;
     }
     Py_XDECREF(writer->locked);
     writer->publish = (Publish)(uintptr_t)publish;
+    writer->reset_error = (void (*)(void))(uintptr_t)reset_error;
     writer->publisher = (const void *)(uintptr_t)publisher;
     writer->locked = Py_NewRef(locked);
     return 0;

@@ -80,6 +80,33 @@ def frame(payload):
     return struct.pack("<I", len(payload)) + payload
 
 
+@pytest.mark.parametrize("reads", ["alone", "intake without a compiler"])
+def test_a_message_is_unread_from_its_arrival_to_its_delivery(monkeypatch, reads):
+    """A request to cancel all goals, which arrives in between, has to find its client's goal."""
+    found: list[bool] = []
+
+    class Spy(socket.socket):
+        def recv(self, count, flags=0):
+            data = super().recv(count, flags)
+            if data == frame(b"a goal") and not flags & socket.MSG_PEEK:
+                found.append(connection.reader.unread)
+            return data
+
+    monkeypatch.setattr(socket, "socket", Spy)
+    monkeypatch.setattr(module, "Stream", None)
+    loop = None if reads == "alone" else ConnectionLoop()
+    connection = Connection(loop)
+    for number in range(1, 4):
+        connection.publisher.sendall(frame(b"a goal"))
+        until(lambda number=number: len(connection.messages) == number, "the message is delivered")
+        until(lambda: not connection.reader.unread, "nothing is unread")
+    connection.finish()
+    connection.until_closed()
+    if loop is not None:
+        loop.stop()
+    assert found == [True] * 3
+
+
 SIZES = [
     [0, 1, 4, 100],
     [5] * 20000,

@@ -42,6 +42,13 @@ class Rcl:
         self._function = ctypes.CFUNCTYPE(ctypes.c_int32, *pointers)(self._publish)
         monkeypatch.setattr(rcl, "_PUBLISH", ctypes.cast(self._function, ctypes.c_void_p).value)
 
+        self.resets = 0
+        self._reset = ctypes.CFUNCTYPE(None)(self._reset_error)
+        monkeypatch.setattr(rcl, "_RESET_ERROR", ctypes.cast(self._reset, ctypes.c_void_p).value)
+
+    def _reset_error(self) -> None:
+        self.resets += 1
+
     def _publish(self, publisher: int, message: Any, allocation: int | None) -> int:
         content = message.contents
         self.publishers.add(publisher)
@@ -108,9 +115,10 @@ def test_a_message_that_rcl_does_not_publish_is_left_to_python(stand_in: Rcl, co
     stand_in.code = code
     assert not pass_on(way, b"x")
     assert (writer.written, way.messages, writer.open) == (0, 0, True)
+    assert stand_in.resets == 1, "rcl would print a warning at the next error"
     stand_in.code = 0
     assert pass_on(way, b"y")
-    assert stand_in.published == [b"y"]
+    assert (stand_in.published, stand_in.resets) == ([b"y"], 1)
 
 
 def test_large_messages_are_left_to_python(stand_in: Rcl) -> None:
