@@ -13,22 +13,28 @@ class TopicAdmission:
     """The base of topics that are bridged (`bridge.routing.route`) or relayed (`bridge.routing.relay`).
 
     Args:
-        names: the topic on the hub, and its ROS 2 type.
+        topics: the topic's names on the hub and on the side.
+        type_name: its ROS 2 type.
         counters: counts what is dropped.
     """
 
     def __init__(
-        self, names: tuple[str, str], policy: RoutePolicy, counters: Counters, stall_detector: StallDetector
-    ) -> None:
+        self, topics: tuple[str, ...], type_name: str, policy: RoutePolicy, counters: Counters,
+        stall_detector: StallDetector,
+    ) -> None:  # fmt: skip
         self.policy, self.counters = policy, counters
-        self._names, self._stall_detector = names, stall_detector
+        self._topics, self._type_name, self._stall_detector = topics, type_name, stall_detector
         self._limit = RateLimit(policy.rate) if policy.rate and policy.priority != Priority.STATE.value else None
 
     def priority_of(self, *, latched: bool) -> Priority:
-        """Return the priority class that the rule sets, or else the default for the type and latching."""
+        """Return the priority class that the rule sets, or else the default for the names, the type and latching.
+
+        A topic that a rule renames carries commands if either name implies it.
+        """
         if self.policy.priority:
             return Priority(self.policy.priority)
-        return default_priority(*self._names, latched=latched)
+        classes = {default_priority(topic, self._type_name, latched=latched) for topic in self._topics}
+        return Priority.COMMAND if Priority.COMMAND in classes else classes.pop()
 
     def latches(self, qos: Qos) -> bool:
         """Return whether the messages of a publisher with this QoS are latched; commands never are."""

@@ -149,7 +149,7 @@ class TopicRoute(Route, TopicAdmission):
         to_hub = self.direction == "in"
         hub, side = (conversion.target, conversion.source) if to_hub else (conversion.source, conversion.target)
         super().__init__(key, names, (hub.name, side.name), policy, context)
-        TopicAdmission.__init__(self, (names[0], hub.name), policy, self.counters, context.stall_detector)
+        TopicAdmission.__init__(self, names, hub.name, policy, self.counters, context.stall_detector)
         self.conversion = conversion
         self._program = None if conversion.convert is None else native_program(conversion.convert)
         self._priority = Priority.STREAM

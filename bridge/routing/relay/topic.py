@@ -63,7 +63,7 @@ class RelayedTopic(TopicAdmission):
     """
 
     def __init__(self, key: RelayKey, policy: RoutePolicy, pair: TopicPair, context: RelayContext) -> None:
-        super().__init__((key.topic, key.type_name), policy, Counters(), context.stall_detector)
+        super().__init__((key.topic,), key.type_name, policy, Counters(), context.stall_detector)
         self.key, self.pair = key, pair
         self._context = context
         self._priority = Priority.STREAM

@@ -70,9 +70,11 @@ class TopicBook:
     # -- this node's endpoints -----------------------------------------------------------------------------------------
 
     def publish(self, topic: str, side_type: SideType, *, latched: bool, lifespan: float | None = None) -> Publication:
-        """Return the publication of a topic, for one more publisher; raises `MessageTypeError` for another type.
+        """Return the publication of a topic, for one more publisher.
 
-        ``lifespan``: time in seconds after which a command is too old.
+        Raises `MessageTypeError` for another type, and if only one of the topic's publishers sends commands: the
+        connections of a ROS 1 topic have one queue for all of them, and commands are not queued. ``lifespan``: time in
+        seconds after which a command is too old; None: no commands.
         """
         with self._lock:
             publication = self._published.get(topic)
@@ -86,6 +88,13 @@ class TopicBook:
                     f"{topic} is already published on ROS 1 as {publication.side_type.name}, so it cannot also be"
                     f" {side_type.name} (md5 {side_type.type_id})",
                     "rename one of the two with a rule, because a ROS 1 node has one type per topic",
+                )
+            elif (publication.lifespan is None) != (lifespan is None):
+                kinds = ("messages that are queued", "commands, which are not queued")
+                here, other = kinds if publication.lifespan is None else kinds[::-1]
+                raise MessageTypeError(
+                    f"{topic} is already published on ROS 1 for {here}, so it cannot also be for {other}",
+                    "set `priority: command` in the rules of both topics or of neither, or rename one of the two",
                 )
             publication.latches += latched
             publication.users += 1

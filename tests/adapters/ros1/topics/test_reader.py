@@ -86,7 +86,7 @@ def test_a_message_is_unread_from_its_arrival_to_its_delivery(monkeypatch, reads
     found: list[bool] = []
 
     class Spy(socket.socket):
-        def recv(self, count, flags=0):
+        def recv(self, count, flags=0) -> bytes:
             data = super().recv(count, flags)
             if data == frame(b"a goal") and not flags & socket.MSG_PEEK:
                 found.append(connection.reader.unread)
