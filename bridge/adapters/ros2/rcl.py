@@ -9,6 +9,7 @@ GIL would cost more than the call. No Python code runs on a thread of the middle
 from __future__ import annotations
 
 import ctypes
+import functools
 import struct
 from collections.abc import Callable
 from ctypes import (
@@ -272,8 +273,11 @@ def wait_set_add_guard_condition(wait_set: int, guard_condition: int) -> None:
     _check("rcl_wait_set_add_guard_condition", code)
 
 
+@functools.cache
 def host_prefix() -> bytes:
     """Return the four bytes with which Fast DDS begins the GUID prefix of every participant of this host.
+
+    They do not change while the process runs. Each call of Fast DDS reserves a participant's number for good.
 
     Fast DDS recognizes neighbors (for shared memory) by them: vendor 01.0f and two bytes made of the host's addresses.
     An internal function of Fast DDS returns them. If the installed version lacks that function, the result is the
