@@ -161,6 +161,7 @@ class Engine:
         context.bulk.stop()
         self._routes.close()
         context.held_calls.close()
+        context.later.close(1.0)
         self._peers.stop()
         context.stall_detector.stop()
         self.edge.stop()

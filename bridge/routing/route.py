@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Generic, TypeVar
 
+from bridge.concurrency import DelayedCalls
 from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Qos
 from bridge.messages.actions import split
@@ -44,6 +45,7 @@ class EngineContext:
         wake: schedules a check of the routes.
         registry: creates negative replies.
         held_calls: the calls that wait for the lease.
+        later: makes delayed calls.
     """
 
     hub: Hub
@@ -57,9 +59,11 @@ class EngineContext:
     registry: Registry | None = None
     hold: Hold | None = None
     held_calls: HeldCalls = field(init=False)
+    later: DelayedCalls = field(init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "held_calls", HeldCalls(self.edge.side, self.lease))
+        object.__setattr__(self, "later", DelayedCalls(f"midspan-{self.edge.side}-later"))
 
 
 class Route:

@@ -2,35 +2,29 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Final
 
 from typing_extensions import override
 
-from bridge.hub.endpoints.calls import Abandon, CallError, Done, UnsentCallError
-from bridge.messages.actions import CANCEL_GOAL, ENDINGS, GET_RESULT, SEND_GOAL, part_name, split
+from bridge.hub.endpoints.calls import Abandon, Call, CallError, Done, UnsentCallError
+from bridge.messages.actions import ENDINGS, GET_RESULT, SEND_GOAL, split
 from bridge.messages.registry import Registry
 from bridge.messages.services import refusal, unknown_result
 from bridge.routing.decision import RouteDecision, RouteKey, native_groups
 from bridge.routing.edge import Endpoint, Kind, MadeBy, Obstacle
 from bridge.routing.gates import EntryGate
-from bridge.routing.route import RouteSet
+from bridge.routing.route import EngineContext, RouteSet
 from bridge.routing.rules import RoutePolicy
+from bridge.routing.services.orphans import OrphanCancels
 from bridge.routing.services.route import ServiceRoute
 from bridge.routing.versions import second_version
-
-_log = logging.getLogger(__name__)
 
 _SERVICE: Final = "service"
 
 PLANNERS = "/planner/"
 """Prefix of the planners' actions on the hub, to which only the gateway sends goals."""
-
-_HEADER = b"\x00\x01\x00\x00"
-_UUID = slice(4, 20)
-"""A goal's id in a ``SendGoal`` or ``GetResult`` request, after the encapsulation header; in ``CancelGoal`` a stamp
-follows."""
 
 
 class SideToHubService(ServiceRoute):
@@ -118,6 +112,10 @@ class SideToHubServices(RouteSet[RouteKey, SideToHubService]):
     direction = "in"
     kind = _SERVICE
 
+    def __init__(self, context: EngineContext) -> None:
+        super().__init__(context)
+        self._orphans = OrphanCancels(context.later, self._find)
+
     @override
     def candidates(self, endpoints: Sequence[Endpoint]) -> set[tuple[str, str]]:
         return {(e.topic, e.type) for e in endpoints if e.kind is Kind.SERVER}
@@ -199,19 +197,10 @@ class SideToHubServices(RouteSet[RouteKey, SideToHubService]):
         route = SideToHubService(key, (hub_name, key.topic), conversion, policy, self._context)
         action, part = split(hub_name)
         if part in (SEND_GOAL, GET_RESULT) and action.startswith(PLANNERS):
-            route.orphaned = lambda request: self._cancel(action, request)
+            route.orphaned = partial(self._orphans.cancel, action)
         self._routes[key] = route
         return route
 
-    def _cancel(self, action: str, request: bytes) -> None:
-        """Cancel a planner's goal whose client, the gateway, left or lost its connection before the reply.
-
-        The reply would accept the goal, or be its result. No other client has that goal, so no other could stop the
-        robot. Goals of other actions may outlive their clients.
-        """
-        name = part_name(action, CANCEL_GOAL)
-        route = next((route for route in self.routes() if route.hub_topic == name), None)
-        if route is None or len(request) < _UUID.stop:
-            return
-        _log.warning("the client that sent a goal to %s has left: canceling the goal", action)
-        route.call(_HEADER + request[_UUID] + bytes(8), lambda _reply: None)
+    def _find(self, hub_name: str) -> Call | None:
+        route = next((route for route in self.routes() if route.hub_topic == hub_name), None)
+        return None if route is None else route.call

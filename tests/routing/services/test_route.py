@@ -19,14 +19,23 @@ from bridge.config.sections.routing import RoutingSection
 from bridge.hub.endpoints.calls import Abandon, CallError, ClosedCallError, Done
 from bridge.hub.endpoints.services import HubClient
 from bridge.hub.session import Hub
-from bridge.messages.actions import CANCEL, ENDINGS, GET_RESULT, SEND_GOAL, GoalState, part_name
+from bridge.messages.actions import (
+    CANCEL,
+    CANCEL_GOAL,
+    ENDINGS,
+    GET_RESULT,
+    SEND_GOAL,
+    CancelCode,
+    GoalState,
+    part_name,
+)
 from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry
 from bridge.routing import counters
 from bridge.routing.edge import MadeBy
 from bridge.routing.engine import Engine
 from bridge.routing.peer_watch import Lease
-from bridge.routing.services import held
+from bridge.routing.services import held, orphans
 from bridge.routing.services import route as service_route
 from bridge.routing.services.held import HeldCalls
 from tests.peers.fake import FakeEdge, FakeNetwork
@@ -418,14 +427,44 @@ def test_only_planner_goals_are_canceled_when_their_client_dies(rig: Rig, part: 
     assert cancels["/arm/move"].requests(1, 0) == []
 
 
+def test_canceling_a_planners_goal_is_repeated_until_its_server_knows_the_goal(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On DDS, the cancel request may overtake the goal, whose server would then accept it."""
+    monkeypatch.setattr(orphans, "PAUSE_SECONDS", 0.1)
+    action, asked = "/planner/nav2/navigate_to_pose", list[bytes]()
+    codes = [CancelCode.UNKNOWN_GOAL_ID, None, CancelCode.REJECTED, CancelCode.NONE]
+
+    def cancel(request: bytes, done: Done) -> Abandon:
+        code = codes[min(len(asked), len(codes) - 1)]
+        asked.append(request)
+        reply = {"return_code": code}
+        done(CallError("lost") if code is None else from_json(REGISTRY, f"{CANCEL}_Response", reply))
+        return lambda: None
+
+    hub = Hub.open(rig.hubs.settings("gateway"))
+    rig.network.serve(part_name(action, CANCEL_GOAL), CANCEL, MadeBy.NATIVE, "/native", cancel)
+    _begin_goal(rig, hub, action, SEND_GOAL)
+    hub.close()
+    until(lambda: len(asked) == len(codes), "the request is repeated until it has an effect")
+    assert len(set(asked)) == 1
+    time.sleep(0.5)
+    assert len(asked) == len(codes), "a canceled goal is not canceled again"
+
+
 def _goal(rig: Rig, hub: Hub, action: str, part: str) -> Serving:
     """Send a goal, or request its result, on the hub; return the side's cancel server."""
+    cancels = rig.serve(part_name(action, CANCEL_GOAL), CANCEL)
+    _begin_goal(rig, hub, action, part)
+    return cancels
+
+
+def _begin_goal(rig: Rig, hub: Hub, action: str, part: str) -> None:
+    """Send a goal, or request its result, on the hub; the side's server does not reply."""
     name, kind = part_name(action, part), f"{GO}{ENDINGS[part]}"
     rig.serve(name, kind, held=True)
-    cancels = rig.serve(f"{action}/_action/cancel_goal", "action_msgs/srv/CancelGoal")
     client = hub.client(name, kind, REGISTRY.service_ros2(kind).type_id)
     until(lambda: client.ready, "the service is on the hub")
-    rig.client(f"{action}/_action/cancel_goal", "action_msgs/srv/CancelGoal")
+    rig.client(part_name(action, CANCEL_GOAL), CANCEL)
     Calling(REGISTRY, kind, {"goal_id": {"uuid": list(range(16))}}, client.call)
     until(lambda: rig.row(name)["pending"] == 1, "the request is pending")
-    return cancels

@@ -1,0 +1,70 @@
+"""Cancels the goals of planners whose client, the gateway, left or lost its connection before the reply.
+
+The reply would accept the goal, or be its result. No other client has that goal, so no other could stop the robot.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from functools import partial
+
+from bridge.concurrency import DelayedCalls
+from bridge.hub.endpoints.calls import Call, CallError
+from bridge.messages.actions import CANCEL_GOAL, CancelCode, part_name
+
+_log = logging.getLogger(__name__)
+
+PAUSE_SECONDS = 1.0
+"""Pause before a cancel request without effect is repeated."""
+
+_REPEATS = 10
+"""How often it is repeated: the planner may have rejected the goal, and then it never knows it."""
+
+_HEADER = b"\x00\x01\x00\x00"
+_UUID = slice(4, 20)
+"""A goal's id in a ``SendGoal`` or ``GetResult`` request, after the encapsulation header; in ``CancelGoal`` a stamp
+follows."""
+
+_CODE = 4
+"""Offset of the return code in a ``CancelGoal`` response."""
+
+_EFFECTIVE = (CancelCode.NONE, CancelCode.GOAL_TERMINATED)
+
+
+class OrphanCancels:
+    """Cancels orphaned goals. Safe to use from any thread.
+
+    A request is repeated, because it may be lost, or overtake its goal: the two take different connections to a server,
+    which accepts a goal that arrives after its cancel request.
+
+    Args:
+        later: makes delayed calls.
+        find: returns the route of a service on the hub, None if there is none.
+    """
+
+    def __init__(self, later: DelayedCalls, find: Callable[[str], Call | None]) -> None:
+        self._later, self._find = later, find
+
+    def cancel(self, action: str, request: bytes) -> None:
+        """Cancel the goal of a ``SendGoal`` or ``GetResult`` request that has no client any more."""
+        if len(request) < _UUID.stop:
+            return
+        _log.warning("the client that sent a goal to %s has left: canceling the goal", action)
+        self._send(action, _HEADER + request[_UUID] + bytes(8), _REPEATS)
+
+    def _send(self, action: str, request: bytes, repeats: int) -> None:
+        call = self._find(part_name(action, CANCEL_GOAL))
+        if call is not None:
+            call(request, partial(self._on_reply, action, request, repeats))
+        else:
+            self._on_reply(action, request, repeats, CallError("it has no server"))
+
+    def _on_reply(self, action: str, request: bytes, repeats: int, reply: bytes | CallError) -> None:
+        code = reply[_CODE] if isinstance(reply, bytes) and len(reply) > _CODE else CancelCode.REJECTED
+        if code in _EFFECTIVE:
+            return
+        if repeats:
+            self._later.after(PAUSE_SECONDS, partial(self._send, action, request, repeats - 1))
+        elif code != CancelCode.UNKNOWN_GOAL_ID:
+            _log.warning("%s did not cancel the goal of a client that has left", action)
