@@ -172,7 +172,7 @@ class Mesh:
         self._compare_at = now + _COMPARE_SECONDS
         peers = None if self._is_client else self._peers()
         if peers is None:
-            self._unlinked, self._unreachable = set(), {}
+            self._unlinked = set()
             return
         # a session that has left may return
         linked = self._linked_peers()

@@ -109,6 +109,23 @@ def test_search_for_an_unreachable_session_ends(hubs: QuickHub, monkeypatch: pyt
         assert not hub.mesh.lost
 
 
+def test_a_query_without_an_answer_does_not_begin_another_search(
+    hubs: QuickHub, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In another search, the router's link to the session would be ended again."""
+    monkeypatch.setattr(links, "_COMPARE_SECONDS", 0.2)
+    monkeypatch.setattr(links, "_REMEMBERED_SECONDS", 0.5)
+    with Hub.open(hubs.settings("one")) as hub:
+        hubs.list_also("abcd")
+        until(lambda: "abcd" in hub.mesh.lost, "the unreachable session is searched for")
+        until(lambda: not hub.mesh.lost, "the search ends")
+        hubs.unanswered = 1
+        until(lambda: not hubs.unanswered, "a query is not answered")
+        answered = hubs.answered
+        until(lambda: hubs.answered > answered + 4 or hub.mesh.lost, "the links are compared again")
+        assert not hub.mesh.lost
+
+
 def test_an_unreachable_session_is_searched_for_again(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch) -> None:
     """What kept it from linking may be over while the router still lists it. It is asked to rejoin only once."""
     monkeypatch.setattr(links, "_COMPARE_SECONDS", 0.2)
