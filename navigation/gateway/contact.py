@@ -32,6 +32,11 @@ class Contact:
         """Note that the server published something."""
         self._lost_at = None
 
+    def excuse(self, seconds: float) -> None:
+        """Do not count time for which this process stood still: nothing can fail meanwhile."""
+        if self._lost_at is not None:
+            self._lost_at = min(time.monotonic(), self._lost_at + seconds)
+
     def answers(self, parts: AbstractSet[bytes]) -> bool:
         """Whether the server with these parts is expected to answer, or is worth a trial."""
         if self._lost_at is None:

@@ -59,6 +59,7 @@ class Presence:
         """Do not count time for which this process stood still, and read neither the graph nor any message."""
         now = time.monotonic()
         self.machine.excuse(seconds)
+        self.contact.excuse(seconds)
         self.seen_at = min(now, self.seen_at + seconds)
         self.unreachable_at = min(now, self.unreachable_at + seconds)
         if self._side_since is not None:
