@@ -178,8 +178,8 @@ class ClientVelocity(PublishedChannel):
             self.counters.dropped("bad")
             raise NotPublishedError("a velocity must be finite")
         self._refusal = ""
-        if message.arrived - self._arrived > HOLD_SECONDS:
-            self._pressed = message.arrived  # an app has no message for a released control
+        if message.arrived - self._arrived > HOLD_SECONDS or not any((x, y, rotation)):
+            self._pressed = message.arrived  # an app has no message for a released control: it is silent, or sends zero
         self._arrived = message.arrived
         self._driving.hold(self, x, y, rotation, message.arrived, self._pressed)
         if self._refusal:

@@ -142,6 +142,10 @@ def test_a_hold_is_refused_while_a_person_drives_with_another_program(desk: Desk
         assert (page.errors(), base.received) == (["anna (foxglove) drives manually"], [])
         other.end()
         until(lambda: not graph.drivers("/cmd_vel"), "the console knows that control is free")
+        page.send(op="hold", x=0.1, y=0.0, turn=0.0)
+        page.until(lambda: len(page.errors()) > 1 or base.drives(), "the control is still pressed")
+        assert (page.errors()[1:], base.received) == (["release the control first"], [])
+        page.send(op="release")
         hold(page, base)
         until(lambda: other.rival().endswith("(web) drives manually"), "the other program is refused meanwhile")
         page.send(op="release")
@@ -174,6 +178,7 @@ def test_a_hold_is_refused_while_a_planner_drives(desk: Desk) -> None:
         assert page.errors() == ["nav2 drives; pause or stop it first"]
         desk.far.publish(status, {"state": "idle"})
         page.value("driving", lambda value: value and value["state"] == "idle")
+        page.send(op="release")
         hold(page, base)
         desk.far.publish(status, {"state": "moving"})
         page.value("driving", lambda value: value and value["state"] == "moving")

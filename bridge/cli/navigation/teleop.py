@@ -67,7 +67,7 @@ class Keys:
         self.zeros = 1
         self._wish = HeldKeys()
         self._until = 0.0
-        self._blocked = -math.inf  # until this time, a key counts as held since the last halt
+        self._blocked = -math.inf  # until this time, a key counts as held since the last halt or refusal
 
     def press(self, key: str, now: float) -> None:
         """Handle a key that arrives at a time in seconds."""
@@ -85,6 +85,10 @@ class Keys:
     def halt(self, now: float) -> None:
         """Stop at a time in seconds; a key that is held must be released before it drives again."""
         self._wish, self._blocked = HeldKeys(), now + HOLD_SECONDS
+
+    def blocked(self, now: float) -> bool:
+        """Return whether a key is held that must be released first."""
+        return now <= self._blocked
 
     def velocity(self, now: float) -> tuple[float, float, float]:
         """Return the velocity at a time, m/s and rad/s: zero unless a key is held."""
@@ -174,13 +178,16 @@ class Driver:
         """Publish the velocity that the keys request, or zero for a moment; return what to show."""
         self._publisher.follow()
         with self._lock:
-            x, y, turn = velocity = self.keys.velocity(steady())
+            now = steady()
+            x, y, turn = velocity = self.keys.velocity(now)
             if rival := self._control.rival():
+                if any(velocity):  # a key that is held must not drive once the other person ends
+                    self.keys.halt(now)
                 if self._control.held:  # both began at the same moment
                     self._publisher.publish()
                 self._control.end()
                 self.keys.zeros = 0  # they would slow the other
-                return f"{clean(rival)}{': not driving' if any(velocity) else ''}"
+                return f"{clean(rival)}{': not driving' if self.keys.blocked(now) else ''}"
             if any(velocity):
                 self._control.begin(self._who)
                 self.keys.zeros = round(STOP_SECONDS * RATE)
@@ -190,6 +197,8 @@ class Driver:
                 if self.keys.zeros:  # then silence, so that others can drive
                     self.keys.zeros -= 1
                     self._publisher.publish()
+                if self.keys.blocked(now):
+                    return "stopped: release the key first"
         return f"x {x:+.2f} y {y:+.2f} m/s, turn {turn:+.2f} rad/s"
 
     def stop(self) -> None:

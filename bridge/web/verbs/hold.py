@@ -67,6 +67,7 @@ class HandDriving:
         self.stopped.set()
         self._control = ManualControl(host.node.hub, topic)
         self._holder: HandDriver | None = None
+        self._refused: dict[HandDriver, float] = {}  # when the controls were pressed that were refused
         self._halted_at = -math.inf
         self._ended = False
         self._velocity: Velocity = _ZERO
@@ -88,14 +89,10 @@ class HandDriving:
         """
         if self._ended or steady() - arrived > HOLD_SECONDS:
             return
-        holder = self._holder
-        reason = self._others() if holder in (None, page) else f"{holder.who} drives manually"
-        if not self._topic:
-            reason = "no velocity topic is configured (navigation.velocity)"
-        if pressed <= self._halted_at:
-            reason = "the robot was stopped; release the control first"
+        reason = self._refusal(page, pressed)
         if reason:
             self.release(page)
+            self._refused[page] = pressed
             page.refuse(reason)
             return
         if self._holder is None:
@@ -111,8 +108,20 @@ class HandDriving:
         self._until = arrived + HOLD_SECONDS
         self._publish()
 
+    def _refusal(self, page: HandDriver, pressed: float) -> str:
+        """Return why a page may not drive; "" if it may. Once refused, a control drives only if it is pressed again."""
+        holder = self._holder
+        if pressed <= self._halted_at:
+            return "the robot was stopped; release the control first"
+        if not self._topic:
+            return "no velocity topic is configured (navigation.velocity)"
+        if holder is not None and holder is not page:
+            return f"{holder.who} drives manually"
+        return self._others() or ("release the control first" if pressed <= self._refused.get(page, -math.inf) else "")
+
     def release(self, page: HandDriver) -> None:
         """Stop driving for a page."""
+        self._refused.pop(page, None)
         if page is self._holder:
             self.stop()
 
