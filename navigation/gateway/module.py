@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from functools import partial
 from typing import Any
 
 from typing_extensions import override
@@ -54,8 +53,7 @@ class GatewayModule(Module):
         self._state = State.IDLE.value
         self._ports = [host.yarp.output(f"{prefix}/status:o") for prefix in section.doors.yarp]
         frames = RobotFrames(host, section.frame, section.base_frame)
-        drivers = partial(host.node.hub.graph.drivers, section.velocity)
-        self._commander = VelocityCommander(host, section.velocity, lambda: self._planner_drives or bool(drivers()))
+        self._commander = VelocityCommander(host, section.velocity, lambda: self._planner_drives)
         self._holding = host.node.publisher(HOLD, HOLD_TYPE, LATCHED, priority="state")
         self._holding.publish({"data": False})
         self.gateway = Gateway(host, section, frames, self._on_status, self._hold)

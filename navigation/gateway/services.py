@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 from typing_extensions import override
 
+from bridge.client.manual import ManualControl
 from bridge.client.velocity import STOP_SECONDS
 from bridge.modules.host import Host, ModuleNode
 from bridge.modules.loop import Timer
@@ -27,6 +28,8 @@ from yarp_compat.dev.inavigation2d import NavigationMapTypeEnum, TrajectoryTypeE
 from yarp_compat.dev.locations import Map2DLocation, Map2DPath
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.returnvalue import CallFailed, ReturnCode
+
+CLIENT = "a YARP client"
 
 LONGEST_SECONDS = 1.0
 """Maximum duration of a velocity command; clients repeat their command to keep driving."""
@@ -46,15 +49,19 @@ class YarpVelocity(NamedTuple):
 class VelocityCommander:
     """Repeats a velocity on the base's topic for a limited time, then zero for `STOP_SECONDS`. Not thread-safe.
 
+    To others, the client is a person who drives manually (`bridge.client.manual.ManualControl`).
+
     Args:
         topic: the topic of the base's velocities.
-        busy: whether a planner, or a person who drives manually, commands the base, which zeros would slow; a new
-            command ends the zeros, too.
+        busy: whether a planner commands the base. Zeros would slow it, or a person who drives manually; a new command
+            ends the zeros, too.
     """
 
     def __init__(self, host: Host, topic: str, busy: Callable[[], bool]) -> None:
         self._host, self._busy = host, busy
         self._publisher = velocity_publisher(host, topic)
+        self._control = ManualControl(host.node.hub, topic)
+        self._rival = ""  # who drove manually instead, at the last command
         self._velocity, self._until = YarpVelocity(), 0.0
         self._zeros = 0  # still to be published; not a time, because this process may be starved
         self._timer: Timer | None = None
@@ -67,12 +74,24 @@ class VelocityCommander:
         return self._velocity if time.monotonic() <= self._until else None
 
     def command(self, velocity: YarpVelocity, seconds: float) -> None:
-        """Command a velocity for this time, at most `LONGEST_SECONDS`; raises `RequestError` after `end`."""
+        """Command a velocity for this time, at most `LONGEST_SECONDS`.
+
+        Raises `RequestError` after `end`, and while another person drives manually.
+        """
         if self._ending:
             raise RequestError("the gateway is shutting down")
+        before, self._rival = self._rival, self._control.rival()
+        if self._rival:
+            if self._rival != before:  # YARP's reply cannot contain it
+                self._host.log.warning("a velocity of %s is refused: %s", CLIENT, self._rival)
+            raise RequestError(self._rival)
         self._begin(velocity, seconds)
 
     def _begin(self, velocity: YarpVelocity, seconds: float) -> None:
+        if any(velocity):
+            self._control.begin(f"{CLIENT} ({self._host.name})")
+        else:
+            self._control.end()
         self._velocity, self._until = velocity, time.monotonic() + min(max(seconds, 0.0), LONGEST_SECONDS)
         self._send(velocity)
         if self._timer is None:
@@ -83,6 +102,7 @@ class VelocityCommander:
         if self._until:
             self._until = 0.0
             self._send(YarpVelocity())
+            self._control.end()
 
     def end(self, done: Callable[[], None]) -> None:
         """Stop, accept no further commands of clients, and call ``done`` after the last zero."""
@@ -98,11 +118,11 @@ class VelocityCommander:
         self._begin(YarpVelocity(), OVERRIDE_SECONDS)
 
     def _repeat(self) -> None:
-        if self.last is not None:
+        if self.last is not None and not (self._control.held and self._control.rival()):
             self._send(self._velocity)
         elif self._until:
             self.stop()
-        elif self._zeros and not self._busy():
+        elif self._zeros and not self._busy() and not self._control.rival():
             self._send(YarpVelocity())
         else:
             self._close()
@@ -182,7 +202,6 @@ def _server_of(action: Callable[[str], str | None]) -> Callable[[dict[str, Any],
     return serve
 
 
-CLIENT = "a YARP client"
 _FRESH_SECONDS = 0.3
 """A velocity that waited longer for the module's thread is refused, because its client has sent another or stopped."""
 

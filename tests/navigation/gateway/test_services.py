@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -26,8 +28,18 @@ class Base:
         publisher = SimpleNamespace(publish=lambda x, _y, _turn: self.received.append(x))
         monkeypatch.setattr(services, "velocity_publisher", lambda *_: publisher)
         monkeypatch.setattr(services, "time", self.clock)
-        host: Any = SimpleNamespace(loop=self.loop)
+        self.drivers = dict[str, str]()  # other persons by zid; that of the gateway is "5"
+        self.announced: str | None = None
+        graph = SimpleNamespace(drivers=lambda _topic: self.drivers, announce_driver=self._announce)
+        hub = SimpleNamespace(graph=graph, zid="5")
+        host: Any = SimpleNamespace(
+            loop=self.loop, name="gateway", node=SimpleNamespace(hub=hub), log=logging.getLogger("gateway")
+        )
         self.commander = VelocityCommander(host, "/cmd_vel", lambda: self.busy)
+
+    def _announce(self, _topic: str, who: str) -> Callable[[], None]:
+        self.announced = who
+        return lambda: setattr(self, "announced", None)
 
     def after(self, seconds: float) -> list[float]:
         """Return the velocities of the next seconds."""
@@ -93,3 +105,41 @@ def test_a_client_that_repeats_its_velocity_does_not_delay_the_end(base: Base) -
         base.commander.command(DRIVE, 0.2)
     base.after(5.0)
     assert base.received == [0.3, *[0.0] * ZEROS]
+
+
+def test_others_see_that_a_client_drives(base: Base) -> None:
+    base.commander.command(DRIVE, 0.2)
+    assert base.announced == "a YARP client (gateway)"
+    base.after(0.4)
+    assert base.received[-1] == 0.0
+    assert base.announced is None
+    base.commander.command(DRIVE, 0.2)
+    base.commander.command(YarpVelocity(), 0.2)
+    assert base.announced is None
+    base.commander.command(DRIVE, 0.2)
+    base.commander.halt()
+    assert base.announced is None
+
+
+def test_a_command_is_refused_while_a_person_drives_manually(base: Base, caplog: pytest.LogCaptureFixture) -> None:
+    base.drivers["7"] = "anna (web)"
+    for _ in range(3):
+        with pytest.raises(RequestError, match=r"anna \(web\) drives manually"):
+            base.commander.command(DRIVE, 0.2)
+    assert [record.getMessage() for record in caplog.records] == [
+        "a velocity of a YARP client is refused: anna (web) drives manually"
+    ]
+    assert (base.after(1.0), base.announced) == ([], None)
+    base.drivers.clear()
+    base.commander.command(DRIVE, 0.2)
+    assert base.received == [0.3]
+
+
+@pytest.mark.parametrize(("zid", "yields"), [("1", True), ("7", False)])
+def test_of_two_that_begin_at_once_the_one_with_the_lower_zid_drives(base: Base, zid: str, yields: bool) -> None:
+    base.commander.command(DRIVE, 0.2)
+    base.drivers[zid] = "anna (web)"
+    driven = base.after(0.15)
+    assert driven == ([0.0] if yields else [0.3] * len(driven))
+    assert (base.announced is None) is yields
+    assert base.after(5.0).count(0.0) == (0 if yields else 1), "zeros would slow the person"
