@@ -70,6 +70,7 @@ class RobotGoto(PlannerModule):
         for note in self._notes:
             host.log.warning("%s", note)
         self.driver = Driver(section)
+        self._stopping = False
         self._lost = self._laser_trouble = ""
         self._clouds: dict[str, float] = {}
         self._open(host, RobotFrames(host, section.frame, section.base_frame, section.odom_frame))
@@ -190,6 +191,8 @@ class RobotGoto(PlannerModule):
 
     def _check(self) -> None:
         """Raise `PlanError` if the robot must not drive at all."""
+        if self._stopping:
+            raise PlanError(Fault.NO_NAVIGATOR, "RobotGoto is stopping")
         self.compiled.check()
         if closed := self._closed:
             raise PlanError(Fault.NO_MAP, closed)
@@ -270,6 +273,8 @@ class RobotGoto(PlannerModule):
         return True
 
     def _step(self) -> None:
+        if self._stopping:
+            return
         if (closed := self._closed) and not self.progress.state.ended:
             self._abort(closed, Fault.NO_MAP)
         if (changed := self._changed_map()) and self.driver.target is not None:
@@ -358,8 +363,26 @@ class RobotGoto(PlannerModule):
         return "known" if known else self._map.trouble
 
     @override
+    def begin_stop(self, done: Callable[[], None]) -> None:
+        """Stop the robot; zero is repeated first, because a base that was starved for a moment drops a single zero."""
+        self._stopping = True
+        if not self.driver.silent:
+            self._abort("RobotGoto has stopped")
+
+        def repeat() -> None:
+            self._topics.command(STILL, silent=True)
+            if self._topics.resting:
+                timer.close()
+                done()
+
+        # not `Host.every`: a simulator that stops, too, also stops the simulated time
+        timer = self._host.loop.every(self._section.period, repeat)
+        repeat()
+
+    @override
     def stop(self) -> None:
-        self._abort("RobotGoto has stopped")
+        if not self._stopping:  # its thread was busy
+            self._abort("RobotGoto has stopped")
         self._hold.close()
         if self._map is not None:
             self._map.close()

@@ -70,6 +70,11 @@ class GotoTopics(PlannerTopics):
             control, stop = ([_POLAR, *polar, _FULL_GAIN] for polar in (command.polar, STILL.polar))
             self._ports["control:o"].write_command(control, stop, self._envelope())
 
+    @property
+    def resting(self) -> bool:
+        """Whether no zero is left to be repeated."""
+        return not self._zeros
+
     def stop_base(self) -> None:
         """Command the base to stop; the next silent commands repeat that."""
         self.command(STILL, silent=False)
