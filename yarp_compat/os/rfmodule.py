@@ -53,8 +53,8 @@ class RFModule:
         rf.configure(sys.argv)
         sys.exit(Follower().runModule(rf))
 
-    SIGINT and SIGTERM stop the module cleanly: ``interruptModule`` is called, the loop ends, ``close`` is called. The
-    fourth signal ends the program at once.
+    SIGINT and SIGTERM stop the module cleanly: ``interruptModule`` is called, the loop ends, ``close`` is called.
+    During ``configure``, the module ends when it returns. The fourth signal ends the program at once.
     """
 
     def __init__(self) -> None:
@@ -114,12 +114,12 @@ class RFModule:
         """Configure (if given a finder), and run until stopped; return 1 if that failed or the module ran before."""
         if self._ran:
             return 1
-        if rf is not None and not self.configure(rf):
-            log.info("RFModule failed to open.")
-            return 1
-        self._ran = True
         before = self._catch_signals()
         try:
+            if rf is not None and not self.configure(rf):
+                log.info("RFModule failed to open.")
+                return 1
+            self._ran = True
             self._loop()
             log.info("RFModule closing.")
             with self._interrupting:
@@ -214,7 +214,10 @@ class RFModule:
             log.error("Aborting after %d signals", self._signals)
             raise SystemExit(128 + number)
         log.info("[try %d of %d] Trying to shut down.", self._signals, _FORCED - 1)
-        self.stopModule(False)
+        try:
+            self.stopModule(False)
+        except Exception:  # during `configure`, the module may not have what it interrupts
+            log.exception("interruptModule() failed")
 
 
 class _Responder(PortReader):

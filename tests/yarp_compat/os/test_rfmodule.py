@@ -90,6 +90,35 @@ def test_signals_stop_the_module_at_once(number: int) -> None:
     assert signal.getsignal(number) is before
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("interrupts", [True, False], ids=["", "cannot interrupt yet"])
+def test_a_signal_while_the_module_is_configured_stops_it_afterwards(number: int, *, interrupts: bool) -> None:
+    """YARP's ``RFModule`` catches signals from its creation on."""
+
+    class Slow(Module):
+        def configure(self, rf: yarp.ResourceFinder) -> bool:
+            os.kill(os.getpid(), number)
+            return super().configure(rf)
+
+        def interruptModule(self) -> bool:
+            super().interruptModule()
+            if not interrupts:
+                raise AttributeError("port")
+            return True
+
+    lost: list[int] = []
+    before = signal.signal(number, lambda *_: lost.append(number))
+    try:
+        module = Slow(rounds=1)
+        assert module.runModule(finder()) == 0
+        assert (lost, module.said) == ([], ["interrupt", "configure", "close"])
+        assert Slow().runModule(finder("--fail")) == 1
+        os.kill(os.getpid(), number)
+        assert lost == [number], "the program's own handler is back"
+    finally:
+        signal.signal(number, before)
+
+
 def test_commands_are_answered() -> None:
     module, server, client = Module(), yarp.RpcServer(), yarp.RpcClient()
     module.attach(server)
