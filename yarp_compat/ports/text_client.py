@@ -91,25 +91,31 @@ class LineSocket:
         self._buffer += data
 
     def _receive_some(self) -> bytes:
+        """Receive bytes; after the deadline, only those that have arrived: this process may have been starved."""
         while True:
-            sock = self._ready()
+            left = self._end - time.monotonic()
             try:
-                return sock.recv(65536)
-            except TimeoutError:
-                continue
+                return self._connected(left).recv(65536)
+            except (TimeoutError, BlockingIOError):
+                if left <= 0:
+                    raise TimeoutError from None
 
     def hurry(self, seconds: float) -> None:
         """End the exchange within ``seconds`` of now, unless the host name is still being resolved. Thread-safe."""
         self._end = min(self._end, time.monotonic() + seconds)
 
     def _ready(self) -> socket.socket:
-        """Return the socket, with a timeout until the next check of the deadline."""
+        """Return the socket for sending, which nothing does after the deadline."""
         left = self._end - time.monotonic()
         if left <= 0:
             raise TimeoutError
+        return self._connected(left)
+
+    def _connected(self, left: float) -> socket.socket:
+        """Return the socket, with a timeout until the next check of the deadline, which is ``left`` seconds away."""
         if self._socket is None:
             raise OSError("not connected")
-        self._socket.settimeout(min(left, _STEP))
+        self._socket.settimeout(min(max(left, 0.0), _STEP))
         return self._socket
 
 
