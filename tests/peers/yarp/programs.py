@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import threading
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -70,6 +72,8 @@ class YarpProgram:
         self._types: dict[int, type[Message]] = {}
         self._received: dict[int, Record] = {}
         self._last: dict[int, list[Any]] = {}
+        self._joined: dict[int, Counter[str]] = {}  # connections whose readers have received the last latched message
+        self._lock = threading.Lock()
         self._ids = itertools.count(1)
 
     def advertise(self, topic: str, type_: str, *, latched: bool = False, **_: Any) -> int:
@@ -116,9 +120,13 @@ class YarpProgram:
                     connections.connect(self._naming, source.port, target.port)
 
     def _on_connection(self, number: int, event: ConnectionEvent) -> None:
-        if event.up and not event.incoming:
-            target = event.route.target
-            for message in self._last.get(number, []):
+        if event.incoming or number not in self._last:
+            return
+        target = event.route.target
+        with self._lock:
+            joined = self._joined.setdefault(number, Counter())
+            joined[target] += 1 if event.up else -1
+            for message in self._last[number] if event.up else ():
                 self._ports[number].write(message.to_wire, strict=True, chosen=lambda o: o.route.target == target)
 
     def _on_message(self, number: int, message: PortMessage) -> None:
@@ -128,10 +136,12 @@ class YarpProgram:
     def publish(self, endpoint: int, message: dict[str, Any], times: int = 1) -> None:
         yarp_message = self._types[endpoint]()
         fill(yarp_message, message)
-        if endpoint in self._last:
-            self._last[endpoint] = [yarp_message]
-        for _ in range(times):
-            self._ports[endpoint].write(yarp_message.to_wire, strict=True)
+        with self._lock:
+            joined, chosen = self._joined.setdefault(endpoint, Counter()), None
+            if endpoint in self._last:  # `_on_connection` sends the message on a connection that is just coming up
+                self._last[endpoint], chosen = [yarp_message], lambda output: joined[output.route.target] > 0
+            for _ in range(times):
+                self._ports[endpoint].write(yarp_message.to_wire, strict=True, chosen=chosen)
 
     def wait(self, endpoint: int, count: int, seconds: float = 10.0) -> list[dict[str, Any]]:
         return self._received[endpoint].wait(count, seconds)
