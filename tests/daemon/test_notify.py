@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import select
 import signal
 import socket
 import sys
@@ -21,7 +22,11 @@ from tests.support.wait import until
 
 
 class Systemd:
-    """The receiving end of ``$NOTIFY_SOCKET``."""
+    """The receiving end of ``$NOTIFY_SOCKET``.
+
+    Its queue has room for only ten datagrams on some systems, so a thread reads them while a test does something else;
+    with ``lock``, nothing is read.
+    """
 
     def __init__(self, path: Path, watchdog: float) -> None:
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
@@ -29,13 +34,24 @@ class Systemd:
         self._socket.setblocking(False)
         self.env = {"NOTIFY_SOCKET": str(path), "WATCHDOG_USEC": str(int(watchdog * 1e6))}
         self.messages: list[str] = []
+        self.lock = threading.RLock()
+        self._closed = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while not self._closed.is_set():
+            select.select([self._socket], [], [], 0.1)
+            self.read()
 
     def read(self) -> list[str]:
-        while True:
-            try:
-                self.messages.append(self._socket.recv(65536).decode())
-            except BlockingIOError:
-                return self.messages
+        """Read what has arrived; return everything so far."""
+        with self.lock:
+            while True:
+                try:
+                    self.messages.append(self._socket.recv(65536).decode())
+                except BlockingIOError:
+                    return list(self.messages)
 
     def expect(self, text: str, seconds: float = 40.0) -> None:
         until(lambda: any(text in message for message in self.read()), f"{text} among {self.messages}", seconds)
@@ -44,6 +60,8 @@ class Systemd:
         return sum(text in message for message in self.read())
 
     def close(self) -> None:
+        self._closed.set()
+        self._thread.join()
         self._socket.close()
 
 
@@ -69,10 +87,11 @@ def test_what_systemd_has_no_room_for_is_not_lost(systemd: Systemd, monkeypatch:
     """Its queue has room for ten or some hundred datagrams, depending on the system."""
     monkeypatch.setattr(notify, "_SECONDS", 40.0)
     notifier = Notifier(systemd.env)
-    for number in range(2000):
-        notifier.status(str(number))
     ready = threading.Thread(target=notifier.ready)
-    ready.start()
+    with systemd.lock:
+        for number in range(2000):
+            notifier.status(str(number))
+        ready.start()
     systemd.expect("READY=1")
     ready.join()
     assert "STATUS=1999" not in systemd.messages
