@@ -117,6 +117,11 @@ class BoardLink:
                 if str(error) != self.trouble:
                     _log.info("%s: %s", self._section.remote, error)
                 self.trouble = str(error) or type(error).__name__
+            except Exception as error:  # nothing else would stop the joints, which the next connection does
+                text = f"{type(error).__name__}: {error}"
+                if text != self.trouble:
+                    _log.exception("%s: the link failed", self._section.remote)
+                self.trouble = text
             self.joints = None
             self._stopping.wait(_RETRY_SECONDS)
 

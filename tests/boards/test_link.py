@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from types import SimpleNamespace
+from typing import Any
 from unittest.mock import MagicMock
 
 import pytest
 
+from bridge.boards import link as board_link
 from bridge.boards.link import BoardLink
 from bridge.boards.section import ControlBoardSection
+from tests.support.wait import until
 
 
 def follow(monkeypatch: pytest.MonkeyPatch, pauses: list[float]) -> float:
@@ -38,3 +43,32 @@ def test_a_starved_link_does_not_count_the_board_as_silent(monkeypatch: pytest.M
 def test_a_silent_board_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(OSError, match="/robot/arm has sent no state for 1 s"):
         follow(monkeypatch, [0.1, 10.0, *[0.1] * 15])
+
+
+def test_a_link_continues_after_an_unexpected_error(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Its joints may be moving, and commands would be accepted for ever without effect."""
+    board, tried, failing = MagicMock(), list[float](), threading.Event()
+    failing.set()
+
+    def follow(_link: BoardLink, _client: Any) -> None:
+        tried.append(time.monotonic())
+        if failing.is_set():
+            raise IndexError("tuple index out of range")
+        _link._stopping.wait(60)
+
+    monkeypatch.setattr(board_link, "_RETRY_SECONDS", 0.01)
+    monkeypatch.setattr(board_link, "ControlBoardClient", lambda *_args, **_options: board)
+    monkeypatch.setattr(BoardLink, "_prepare", lambda link, _client: setattr(link, "joints", MagicMock()))
+    monkeypatch.setattr(BoardLink, "_follow", follow)
+    link = BoardLink(ControlBoardSection(remote="/robot/arm"), "/here", MagicMock(), MagicMock())
+    link.start()
+    try:
+        until(lambda: len(tried) > 3, "the link tries again")
+        assert link.trouble == "IndexError: tuple index out of range"
+        assert caplog.text.count("/robot/arm: the link failed") == 1, "the same error is logged once"
+        failing.clear()
+        until(lambda: link.joints is not None, "the link works again")
+    finally:
+        link.stop()
