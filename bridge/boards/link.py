@@ -153,7 +153,7 @@ class BoardLink:
             command = self._commands.pop()
             if command is not None:
                 self._execute(client, command)
-            elif self._drive.moving and now >= self._drive.until:
+            if self._drive.moving and time.monotonic() >= self._drive.until:  # also while further commands fail
                 self._drive.stop(client)
             left = self._drive.until - time.monotonic()
             self._commands.wait(left if self._drive.moving and 0.0 < left < _POLL_SECONDS else _POLL_SECONDS)

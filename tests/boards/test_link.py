@@ -11,6 +11,7 @@ from unittest.mock import MagicMock
 import pytest
 
 from bridge.boards import link as board_link
+from bridge.boards.commands import JointCommand
 from bridge.boards.link import BoardLink
 from bridge.boards.section import ControlBoardSection
 from tests.support.wait import until
@@ -72,3 +73,26 @@ def test_a_link_continues_after_an_unexpected_error(
         until(lambda: link.joints is not None, "the link works again")
     finally:
         link.stop()
+
+
+def test_joints_whose_command_has_expired_stop_although_other_commands_arrive(monkeypatch: pytest.MonkeyPatch) -> None:
+    link = BoardLink(ControlBoardSection(remote="/robot/arm"), "/here", MagicMock(), MagicMock())
+    board, rounds, stopped = MagicMock(), iter(range(3)), list[bool]()
+
+    def call(method: str, *_args: Any) -> list[bool]:
+        if method == "velocityMoveGroupRPC":
+            stopped.append(not link._stopping.is_set())
+        return [method == "velocityMoveGroupRPC"]  # the joints cannot be switched to another control mode
+
+    def pop() -> JointCommand:
+        if next(rounds, None) is None:
+            link._stopping.set()
+        return JointCommand("velocityMoveGroupRPC", 1, (1,), (5.0,), time.monotonic() + 60.0)
+
+    board.state.return_value, board.call.side_effect = None, call
+    link._drive.moving = (0,)
+    link._last_state = time.monotonic()
+    monkeypatch.setattr(link._commands, "pop", pop)
+    monkeypatch.setattr(link._commands, "wait", lambda _seconds: None)
+    link._follow(board)
+    assert stopped == [True]
