@@ -6,6 +6,7 @@ If the server has restarted, the RPC port reconnects before a call, and the stre
 from __future__ import annotations
 
 import contextlib
+import logging
 import threading
 from collections.abc import Callable, Iterator
 from typing import Generic, Self, TypedDict, TypeVar, Unpack
@@ -19,6 +20,7 @@ from yarp_compat.ports.outgoing import Content
 from yarp_compat.ports.port import PortCore
 from yarp_compat.ports.sockets import Openable, closed_on_failure
 from yarp_compat.pythonic import Client, Reader, Received
+from yarp_compat.wire.contact import PortContact
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.framing import Buffer
 from yarp_compat.wire.generation import Generation
@@ -26,6 +28,8 @@ from yarp_compat.wire.portable import Portable
 from yarp_compat.wire.reply import ReplyEnd
 
 S = TypeVar("S", bound=Service)
+
+log = logging.getLogger(__name__)
 
 PATIENCE = 10.0  # seconds to wait for a reply by default
 
@@ -91,6 +95,8 @@ class StreamReader(Reader):
         self._wake = threading.Event()
         super().__init__(name, strict=strict, naming=naming, on_event=lambda _event: self._wake.set())
         self._source, self._carrier = source, carrier
+        self._source_name = PortContact.parse(source).name
+        self._named = False  # whether the source has connected under this name
         self._thread: threading.Thread | None = None
 
     @override
@@ -101,6 +107,7 @@ class StreamReader(Reader):
         super().open()
         with closed_on_failure(self):
             self._connect()
+            self._is_missing()
             thread = threading.Thread(target=self._run, name=f"yarp stream {self._source}", daemon=True)
             thread.start()
             self._thread = thread
@@ -124,10 +131,20 @@ class StreamReader(Reader):
             self._wake.clear()
             if not self.core.is_open:
                 return
-            missing = not self.core.connections.inputs
+            missing = self._is_missing()
             if missing:
-                with contextlib.suppress(OSError):  # the source may return later
+                try:
                     self._connect()
+                except OSError:  # the source may return later
+                    pass
+                except Exception:  # without this thread, the stream would end for good
+                    log.exception("reconnecting the stream of %s failed", self._source)
+
+    def _is_missing(self) -> bool:
+        """Return whether the source is not connected; another port may be, because any port may connect to a reader."""
+        sources = {connection.route.source for connection in self.core.connections.inputs}
+        self._named = self._named or self._source_name in sources
+        return self._source_name not in sources if self._named else not sources
 
 
 T = TypeVar("T", bound=Portable)

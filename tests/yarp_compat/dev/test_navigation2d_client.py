@@ -28,6 +28,7 @@ from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.navigation2d_client import Navigation2DClient
 from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
 from yarp_compat.dev.server import Server
+from yarp_compat.naming import connections
 from yarp_compat.os.data.stdvector import BVector, SVector
 from yarp_compat.os.data.vocab import Vocab32
 from yarp_compat.ports.naming import LocalNaming, PortError
@@ -258,6 +259,36 @@ def test_a_stream_continues_after_its_connection_has_ended(naming: LocalNaming, 
             else:
                 assert writer.core.remove_output("/me")
             until(lambda: writer.write(KITCHEN) and positions.read_now(), "the stream continues")
+
+
+def test_a_stream_reconnects_while_another_port_is_connected_to_its_reader(naming: LocalNaming) -> None:
+    source = "/loc/streaming:o"
+    with ExitStack() as writers:
+        writer = writers.enter_context(Writer(source, naming=naming))
+        other = writers.enter_context(Writer("/other", naming=naming))
+        with Stream(source, Map2DLocation, "/me", naming=naming) as positions:
+            other.connect("/me")
+            writer.close()
+            writer = writers.enter_context(Writer(source, naming=naming))
+            until(lambda: writer.write(KITCHEN) and positions.read_now(), "the stream continues")
+            assert other.core.connections.outputs
+
+
+def test_a_stream_reconnects_after_an_unexpected_error(
+    naming: LocalNaming, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    source, connect, errors = "/loc/streaming:o", connections.connect, [RuntimeError("can't start new thread")]
+
+    def failing(*args: Any) -> str:
+        if errors:
+            raise errors.pop()
+        return connect(*args)
+
+    with Writer(source, naming=naming) as writer, Stream(source, Map2DLocation, "/me", naming=naming) as positions:
+        monkeypatch.setattr(connections, "connect", failing)
+        assert writer.core.remove_output("/me")
+        until(lambda: writer.write(KITCHEN) and positions.read_now(), "the stream continues")
+    assert "can't start new thread" in caplog.text
 
 
 def test_a_stream_yields_messages_until_it_is_closed(make_port: MakePort, naming: LocalNaming) -> None:
