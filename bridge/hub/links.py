@@ -275,14 +275,23 @@ def duplicate(descriptor: int) -> socket.socket:
         raise
 
 
+_LOG_SECONDS = 60.0
+
+
 class LinkLimits:
-    """Sets the time limit on new connections, on a separate thread, which then calls ``check`` each second."""
+    """Sets the time limit on new connections, on a separate thread, which then calls ``check`` each second.
+
+    Attributes:
+        trouble: why the last time failed, or "". The log has the traceback, at most once a minute.
+    """
 
     def __init__(self, check: Callable[[], None]) -> None:
         import psutil  # on the caller's thread, which can report that it fails
 
         self._process = psutil.Process()
         self._check = check
+        self.trouble = ""
+        self._logged_at = float("-inf")
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._run, name="hub-link-limits", daemon=True)
         self._thread.start()
@@ -298,5 +307,10 @@ class LinkLimits:
                 self._check()
             except zenoh.ZError:  # the session is being closed
                 pass
-            except Exception:
-                _log.exception("checking the links to other machines failed")
+            except Exception as err:
+                self.trouble = f"checking the links to other machines failed: {type(err).__name__}: {err}"
+                if time.monotonic() > self._logged_at + _LOG_SECONDS:
+                    self._logged_at = time.monotonic()
+                    _log.exception("checking the links to other machines failed; it is repeated each second")
+            else:
+                self.trouble = ""

@@ -300,8 +300,7 @@ class RouterWorker(Worker):
 
     def _warnings(self) -> list[str]:
         namesakes = self._namesakes.warning if self._namesakes is not None else ""
-        external = f"hub.open: {self._external.trouble}" if self._external.trouble else ""
-        return [warning for warning in (external, namesakes) if warning]
+        return [warning for warning in (self._external.warning(), namesakes) if warning]
 
 
 def _members(session: zenoh.Session, *, peers: bool = False) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import threading
 from collections.abc import Iterator
 
 import psutil
@@ -35,17 +36,25 @@ def test_local_links_are_unchanged(link: socket.socket) -> None:
     assert limit(link) == 0
 
 
-def test_links_are_checked_again_after_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_links_are_checked_again_after_an_error(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     monkeypatch.setattr(links, "_EVERY", 0.01)
+    works = threading.Event()
     checks: list[int] = []
 
-    def fail() -> None:
+    def check() -> None:
         checks.append(len(checks))
-        msg = "can't start new thread"
-        raise RuntimeError(msg)
+        if not works.is_set():
+            msg = "can't start new thread"
+            raise RuntimeError(msg)
 
-    limits = LinkLimits(fail)
+    limits = LinkLimits(check)
     try:
-        until(lambda: len(checks) > 1, "the links are checked again")
+        until(lambda: len(checks) > 5, "the links are checked again")
+        assert limits.trouble == "checking the links to other machines failed: RuntimeError: can't start new thread"
+        assert len(caplog.records) == 1, "one traceback a minute"
+        works.set()
+        until(lambda: not limits.trouble, "the checks work again")
     finally:
         limits.close()

@@ -83,6 +83,12 @@ class ExternalAccess:
         if router is not None:
             router.close()
 
+    def warning(self) -> str:
+        """Return why the router cannot be opened, or cannot check its links; "" if it works."""
+        router = self.router
+        trouble = self.trouble or ("" if router is None else router.trouble)
+        return f"hub.open: {trouble}" if trouble else ""
+
     def text(self) -> str:
         """Return the part of the worker's status text about other machines, "" if ``hub.open`` is not set."""
         if self.trouble:

@@ -99,6 +99,11 @@ class ExternalRouter:
             if address != self._here
         ]
 
+    @property
+    def trouble(self) -> str:
+        """Why the links to other machines cannot be checked, or ""."""
+        return self._limits.trouble
+
     def endpoints(self) -> list[EndpointStatus]:
         """Return the state of each endpoint of ``hub.open``."""
         return self._endpoints.statuses()
