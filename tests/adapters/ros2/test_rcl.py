@@ -22,4 +22,7 @@ def test_the_hosts_prefix_takes_no_number_of_a_participant(registry: Registry, t
     """Otherwise a process that refreshes its neighbors often could not create its participant again."""
     for _ in range(ALL_NUMBERS):
         rcl.host_prefix()
-    RunningEdge(registry, tmp_path).edge.stop()
+    running = RunningEdge(registry, tmp_path)
+    network = running.edge.network()
+    running.edge.stop()
+    assert network
