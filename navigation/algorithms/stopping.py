@@ -175,6 +175,7 @@ def ahead(
     theta: cython.double,
     direction: cython.double,
     length: cython.double,
+    end: cython.double,
     half: cython.double,
     radius: cython.double,
     blind: cython.double,
@@ -183,7 +184,9 @@ def ahead(
     """Measure the surroundings of a robot that drives in a direction (radians, in its own frame).
 
     ``points`` are (n, 3): x, y, and 1 for a new object, else 0; the pose is in the same frame. The rectangle ahead is
-    ``length`` meters long, with ``half`` its width; points ahead that are nearer than ``radius`` count as inside.
+    ``length`` meters long, with ``half`` its width; points ahead that are nearer than ``radius`` count as inside. The
+    drive ends after ``end`` meters: beyond this place, only points closer to it than ``half`` are inside, since the
+    robot may turn there.
 
     ``found`` (6) receives: the number of points in the rectangle, and of new ones among them; the distance of the
     nearest new point within 100 degrees of the direction (meters); the distance of the nearest point that is more than
@@ -212,7 +215,10 @@ def ahead(
             along: cython.double = c * dx + s * dy
             across: cython.double = c * dy - s * dx
             lately: cython.bint = points[i, 2] != 0.0
-            if along > 0.0 and ((along < length and abs(across) < half) or away < radius):
+            swept: cython.bint = along < length and abs(across) < half
+            if swept and along > end:
+                swept = _length(along - end, across) < half
+            if along > 0.0 and (swept or away < radius):
                 inside += 1
                 arrived += lately
             if lately and along > -0.17 * away:

@@ -68,10 +68,15 @@ class Guard:
         """Drop past poses, after the odometry has jumped."""
         self._places.clear()
 
-    def check_ahead(self, settings: RobotGotoSection, moved: Pose, direction: float, length: float) -> None:
-        """Update `ahead` for a direction (radians, in the robot's frame) and a length in meters."""
+    def check_ahead(
+        self, settings: RobotGotoSection, moved: Pose, direction: float, length: float, distance: float
+    ) -> None:
+        """Update `ahead` for a direction (radians, in the robot's frame), and the rectangle's length in meters.
+
+        ``distance`` is that to the goal, meters.
+        """
         ahead(
-            self._grid.points, self._grid.count, moved.x, moved.y, moved.theta, direction, length,
+            self._grid.points, self._grid.count, moved.x, moved.y, moved.theta, direction, length, distance,
             settings.robot_radius, settings.robot_radius, math.radians(settings.frontal_blind_angle), self.ahead,
         )  # fmt: skip
 

@@ -122,7 +122,7 @@ class Obstruction:
             length = max(length, self._length)  # an obstacle that stopped the robot early still counts when it stands
         self._length = length
         radius = settings.robot_radius
-        guard.check_ahead(settings, moved, beta, min(length, distance + radius))
+        guard.check_ahead(settings, moved, beta, length, distance)
         if limits.avoid:
             if blocked < max(length, radius + 0.2):
                 return "the path is blocked"

@@ -111,7 +111,7 @@ def stops(points: np.ndarray) -> Named:
     surroundings, blocker = np.zeros(6), np.zeros(3)
     for n in range(16):
         theta, velocity = n * 0.375, np.array((0.0625 * n, -0.03125 * n, 0.125))
-        stopping.ahead(points, 40, 0.0, 0.0, theta, 0.25, 1.2, 0.3, 0.3, 0.4, surroundings)
+        stopping.ahead(points, 40, 0.0, 0.0, theta, 0.25, 1.2, 0.8, 0.3, 0.3, 0.4, surroundings)
         share = stopping.slowed(
             points, 40, 0.0, 0.0, theta, velocity, velocity, 0.2, 0.5, 1.0, 0.25, 0.05, 0.25, 0.75, blocker
         )

@@ -1,5 +1,6 @@
 """Whether a moving robot can still stop."""
 
+import itertools
 import math
 
 import numpy as np
@@ -70,11 +71,19 @@ def test_allowed_motions_stay_outside_the_radius():
 def test_ahead_measures_the_surroundings():
     points = np.array([(1.0, 0.0, 1.0), (1.0, 0.1, 0.0), (0.0, 0.5, 0.0), (-0.4, 0.0, 1.0)])
     surroundings = np.empty(6)
-    stopping.ahead(points, 4, 0.0, 0.0, 0.0, 0.0, 1.2, 0.3, 0.3, math.radians(25.0), surroundings)
+    stopping.ahead(points, 4, 0.0, 0.0, 0.0, 0.0, 1.2, math.inf, 0.3, 0.3, math.radians(25.0), surroundings)
     assert tuple(surroundings[:3]) == (2.0, 1.0, 1.0)
     assert tuple(surroundings[3:]) == (0.4, pytest.approx(math.pi, abs=1e-6), 0.4)
-    stopping.ahead(points, 4, 0.0, 0.0, 0.0, math.pi / 2, 1.2, 0.3, 0.3, math.radians(25.0), surroundings)
+    stopping.ahead(points, 4, 0.0, 0.0, 0.0, math.pi / 2, 1.2, math.inf, 0.3, 0.3, math.radians(25.0), surroundings)
     assert surroundings[0] == 1.0, "the rectangle turns with the direction"
+
+
+def test_ahead_counts_only_what_a_robot_touches_on_the_way_to_its_goal():
+    points = np.array([(0.39, 0.28, 0.0), (0.39, -0.28, 0.0), (0.39, 0.0, 0.0), (0.1, 0.28, 0.0)])
+    surroundings = np.empty(6)
+    for module, (end, inside) in itertools.product(MODULES, {math.inf: 4, 0.3: 4, 0.12: 2, 0.05: 1}.items()):
+        module.ahead(points, 4, 0.0, 0.0, 0.0, 0.0, 0.4, end, 0.3, 0.2, math.radians(25.0), surroundings)
+        assert surroundings[0] == inside, (module.__name__, end)
 
 
 def test_compiled_and_uncompiled_results_are_equal():
@@ -94,7 +103,7 @@ def test_compiled_and_uncompiled_results_are_equal():
             shares.add(share)
             surroundings = np.empty((2, 6))
             for module, row in zip(MODULES, surroundings, strict=True):
-                module.ahead(points, count, *pose, 0.5 * wanted[2], 0.8, 0.3, 0.3, 0.4, row)
+                module.ahead(points, count, *pose, 0.5 * wanted[2], 0.8, 0.4, 0.3, 0.3, 0.4, row)
             np.testing.assert_array_equal(surroundings[0], surroundings[1])
     assert len(shares) > 3
 
@@ -122,7 +131,7 @@ class TestNotFinite:
             for pose in ((odd, 0.0, 0.0), (0.0, odd, 0.0), (0.0, 0.0, odd)):
                 assert slowed([], (0.1, 0.0, 0.0), (0.1, 0.0, 0.0), module, pose)[0] == 0.0
                 with pytest.raises(ValueError, match="finite"):
-                    module.ahead(np.zeros((1, 3)), 1, *pose, 0.0, 1.2, 0.3, 0.3, 0.4, np.empty(6))
+                    module.ahead(np.zeros((1, 3)), 1, *pose, 0.0, 1.2, math.inf, 0.3, 0.3, 0.4, np.empty(6))
 
     @pytest.mark.parametrize("place", [2, 3, 4, 5])
     def test_an_invalid_size_or_acceleration_permits_no_motion(self, module, place):
@@ -139,7 +148,7 @@ class TestNotFinite:
         assert slowed([*points, (0.45, 0.0, 0.0)], (0.3, 0.0, 0.0), (0.3, 0.0, 0.0), module)[0] == 0.0
         surroundings = np.empty(6)
         with np.errstate(all="ignore"):
-            module.ahead(np.array(points), 2, 0.0, 0.0, 0.0, 0.0, 1.2, 0.3, 0.3, 0.4, surroundings)
+            module.ahead(np.array(points), 2, 0.0, 0.0, 0.0, 0.0, 1.2, math.inf, 0.3, 0.3, 0.4, surroundings)
         assert tuple(surroundings) == (0.0, 0.0, math.inf, math.inf, 0.0, math.inf)
 
     def test_without_braking_no_motion_is_permitted_and_without_a_top_speed_any(self, module):
@@ -153,8 +162,8 @@ class TestNotFinite:
             with pytest.raises(ValueError, match="points"):
                 module.slowed(points, count, *three, three, three, *[0.3] * 7, three)
             with pytest.raises(ValueError, match="points"):
-                module.ahead(points, count, *three, *[0.3] * 5, np.empty(6))
+                module.ahead(points, count, *three, *[0.3] * 6, np.empty(6))
         with pytest.raises(ValueError, match="three numbers"):
             module.slowed(np.zeros((2, 3)), 2, *three, three, np.zeros(2), *[0.3] * 7, three)
         with pytest.raises(ValueError, match="six numbers"):
-            module.ahead(np.zeros((2, 3)), 2, *three, *[0.3] * 5, np.empty(5))
+            module.ahead(np.zeros((2, 3)), 2, *three, *[0.3] * 6, np.empty(5))

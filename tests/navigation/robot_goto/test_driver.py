@@ -178,6 +178,18 @@ def test_with_on_obstacle_wait_the_robot_waits_and_drives_on_slowly():
     assert not scene.touched
 
 
+def test_with_on_obstacle_wait_only_what_the_robot_would_touch_up_to_its_goal_counts():
+    """Past a waypoint the path may turn, as around the frame of a door."""
+    scene = Scene()
+    scene.sim.world.spawn(box(0.59, 0.46), "frame")  # its corner is 0.37 m from the goal
+    assert scene.goto(0.12, 0.0, on_obstacle="wait", heading=False, seconds=10.0) is State.REACHED
+    assert not scene.touched
+    scene.sim.world.spawn(box(0.7, -0.1), "box")  # 0.2 m from the next goal
+    scene.driver.goal(Pose(0.3, 0.0, math.nan), Constraints(on_obstacle="wait"))
+    scene.run(2.0)
+    assert scene.driver.status == PlannerStatus(State.WAITING, "an obstacle is on the path", Fault.BLOCKED)
+
+
 def test_a_wait_that_takes_too_long_fails_with_the_reason():
     scene = Scene(max_waiting_time=2.0)
     scene.sim.world.spawn(box(1.5, 0.0), "box")
