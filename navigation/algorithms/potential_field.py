@@ -71,6 +71,8 @@ def descend(
     radius: float,  # the robot's radius, cells
     influence: float,  # distance beyond which obstacles do not repel, cells
     spare: float,  # distance that a straight line keeps beyond the radius, cells
+    *,
+    leave: bool = False,  # whether a robot that is nearer to an obstacle than a straight line first leaves it
 ) -> Descent:
     """Return the path down the potential.
 
@@ -109,7 +111,7 @@ def descend(
     )
     cells = np.empty((_count(next_cell, begin), 2), np.int32)
     blocked = _lay(grid, next_cell, begin, radius, cells.data)
-    aim = _aim(grid, cells.data, radius, spare)
+    aim = _aim(grid, cells.data, radius, spare, leave)
     cost = float(costs[start[0] + 1, start[1] + 1]) / (_STRAIGHT * _OPEN) + least
     return Descent(cells, aim, blocked, cost, direct=False)
 
@@ -334,13 +336,23 @@ def _aim(
     path: cython.const[cython.int][:, ::1],
     radius: cython.double,
     spare: cython.double,
+    leave: cython.bint,
 ) -> cython.Py_ssize_t:
-    """Return the index in ``path`` of the farthest cell with a free straight line, if necessary without ``spare``."""
+    """Return the index in ``path`` of the farthest cell with a free straight line, if necessary without ``spare``.
+
+    With ``leave``, a path that begins without ``spare`` is followed to its first cell that has it.
+    """
     least: cython.Py_ssize_t = min(_SHORTEST, path.shape[0] - 1)
     place: cython.Py_ssize_t
     attempt: cython.int
-    room: cython.double
+    room: cython.double = radius + spare
     with cython.nogil:
+        if leave and distances[path[0, 0], path[0, 1]] < room:
+            for place in range(least, path.shape[0]):
+                if distances[path[place, 0], path[place, 1]] >= room:
+                    if _line_free(distances, path[0, 0], path[0, 1], path[place, 0], path[place, 1], radius):
+                        return place
+                    break
         for attempt in range(2):
             room = radius + spare if attempt == 0 else radius
             for place in range(path.shape[0] - 1, least, -1):

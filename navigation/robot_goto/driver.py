@@ -326,8 +326,8 @@ class Driver:
             return Aim(goal.x, goal.y, math.inf, math.hypot(relative.x, relative.y), True, (goal.x, goal.y))
         if not task.heading:
             goal = goal._replace(theta=math.nan)
-        narrow = task.hold.narrow(step.now)
-        return task.path.next(self.grid, step.now, step.moved, goal, self.settings.robot_radius, narrow)
+        narrow, leave = task.hold.narrow(step.now), self._surroundings.guard.slows(step.now)
+        return task.path.next(self.grid, step.now, step.moved, goal, self.settings.robot_radius, narrow, leave=leave)
 
     def _blocked(
         self, step: Step, task: GotoTask, limits: GoalLimits, beta: float, distance: float, blocked: float

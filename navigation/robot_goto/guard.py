@@ -17,6 +17,7 @@ from navigation.robot_goto.steering import STILL, DriveCommand
 
 CREEP_ROOM, FAST_ROOM = 0.01, 0.05  # meters beyond the radius, when creeping and at full speed
 _BARELY, _LEAST = 0.1, 0.002  # a smaller share of a command is almost nothing; a slower robot (m/s) stands
+_SLOWED, _SLOWS = 0.5, 1.0  # a command slowed to less than this share; seconds for which this counts
 _BASELINE, _KEPT = 0.15, 0.3  # seconds: the shortest time over which a velocity is measured, and the longest
 _FASTER, _ABSURD = 0.1, 5.0  # m/s: how much faster than commanded the odometry must be to count, and its largest speed
 
@@ -30,6 +31,7 @@ class Guard:
         self._wanted = np.zeros(3)
         self._places: deque[tuple[float, Pose]] = deque()
         self._scale = 1.0
+        self._slowed_at = -math.inf
         self.velocity: NDArray[np.float64] = np.zeros(3)  # the current velocity: m/s, m/s, rad/s
         # the point that limited the last command; its third value is -1 for none
         self.blocker: NDArray[np.float64] = np.zeros(3)
@@ -99,7 +101,13 @@ class Guard:
             CREEP_ROOM, FAST_ROOM, settings.max_lin_speed, self.blocker,
         )  # fmt: skip
         self._scale = scale if wanted.speed * scale >= _LEAST else 0.0
+        if wanted.speed and self._scale < _SLOWED and self.blocker[2] != UNKNOWN:
+            self._slowed_at = now
         return DriveCommand(wanted.vx * self._scale, wanted.vy * self._scale, wanted.omega)
+
+    def slows(self, now: float) -> bool:
+        """Whether a seen obstacle has slowed a recent command to less than half."""
+        return 0.0 <= now - self._slowed_at < _SLOWS
 
     @property
     def unseen(self) -> bool:

@@ -143,11 +143,14 @@ def aim(
     radius: float,
     before: Aim | None = None,
     narrow: Pose | None = None,
+    *,
+    leave: bool = False,
 ) -> Aim:
     """Follow the potential field from one pose to another in the grid's frame; radius in meters, time in seconds.
 
     If the goal is outside the window, the path leaves the window near the end of the previous path (``before``), unless
-    another exit is clearly better. Around the place ``narrow``, the path keeps more room.
+    another exit is clearly better. Around the place ``narrow``, the path keeps more room. With ``leave``, a robot next
+    to an obstacle first leaves it.
     """
     states, goal = grid.states(now), (to.x, to.y)
     distances = distance_transform(states == OCCUPIED)
@@ -157,6 +160,7 @@ def aim(
     path = descend(
         distances, states == UNKNOWN, (row, column), grid.cell(*goal),
         grid.cell(*before.end) if before else None, radius / RESOLUTION, INFLUENCE / RESOLUTION, _SPARE / RESOLUTION,
+        leave=leave,
     )  # fmt: skip
     if path.direct or not len(path.cells):
         bend = behind(to, here)

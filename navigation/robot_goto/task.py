@@ -73,14 +73,23 @@ class PathFollower:
         self._scanned: float | None = None
 
     def next(
-        self, grid: LocalGrid, now: float, moved: Pose, goal: Pose, radius: float, narrow: Pose | None = None
+        self,
+        grid: LocalGrid,
+        now: float,
+        moved: Pose,
+        goal: Pose,
+        radius: float,
+        narrow: Pose | None = None,
+        *,
+        leave: bool = False,
     ) -> Aim:
         """Return the point to drive to, towards a goal in the grid's frame; theta is NaN without a heading.
 
-        Around ``narrow``, a place in the grid's frame, paths keep more room.
+        Around ``narrow``, a place in the grid's frame, paths keep more room. With ``leave``, a robot next to an
+        obstacle first leaves it.
         """
         if self.aim is None or self._scanned != grid.scanned:
-            self.aim = aim(grid, now, moved, goal, radius, self.aim, narrow)
+            self.aim = aim(grid, now, moved, goal, radius, self.aim, narrow, leave=leave)
             self._scanned = grid.scanned
         if not self.aim.direct:
             return self.aim

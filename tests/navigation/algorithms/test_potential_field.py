@@ -12,10 +12,11 @@ from tests.support.uncompiled import uncompiled
 SIDE, RADIUS = 60, 4.0
 
 
-def way(obstacles, start, goal, before=None, unseen=None):
+def way(obstacles, start, goal, before=None, unseen=None, *, leave=False):
     unseen = np.zeros(obstacles.shape, bool) if unseen is None else unseen
     given = distance_transform(obstacles), unseen, start, goal, before, RADIUS, 12.0, 1.0
-    descent, same = descend(*given), uncompiled("navigation.algorithms.potential_field").descend(*given)
+    plain = uncompiled("navigation.algorithms.potential_field")
+    descent, same = descend(*given, leave=leave), plain.descend(*given, leave=leave)
     np.testing.assert_array_equal(descent.cells, same.cells)
     assert (descent.aim, descent.blocked, descent.cost, descent.direct) == (
         same.aim,
@@ -49,6 +50,17 @@ def test_the_path_leaves_a_dead_end_without_a_local_minimum():
     steps = np.abs(np.diff(descent.cells, axis=0)).max(axis=1)
     assert (steps == 1).all()
     assert descent.cells[:, 1].min() < 20, "the path leads back out first"
+
+
+def test_with_leave_the_aim_is_the_first_cell_with_room_of_a_path_that_begins_without():
+    walls = free()
+    walls[33:37, 26:30] = True  # the robot's radius and a half from the start; the line past it keeps only the radius
+    far, near = (way(walls, (29, 24), (29.0, 50.0), leave=leave) for leave in (False, True))
+    assert tuple(far.cells[far.aim]) == (29, 50)
+    away = distance_transform(walls)[tuple(near.cells.T)]
+    assert away[near.aim] >= RADIUS + 1.0
+    assert (away[4 : near.aim] < RADIUS + 1.0).all()
+    assert way(walls, (20, 24), (29.0, 50.0), leave=True).aim == way(walls, (20, 24), (29.0, 50.0)).aim
 
 
 def test_a_closed_path_gives_the_distance_to_the_obstacle():

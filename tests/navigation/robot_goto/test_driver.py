@@ -10,6 +10,7 @@ from navigation.constraints import Constraints
 from navigation.pose import Pose
 from navigation.robot_goto.driver import MAX_RETREAT, Driver
 from navigation.status import Fault, PlannerStatus, State
+from sim.base import BasePose
 from sim.plan import Box, Person
 from tests.peers.navigation.scene import Scene
 
@@ -130,6 +131,20 @@ def test_the_robot_drives_out_of_a_dead_end():
     for wall in (box(1.6, 0.0, 0.2, 1.6), box(1.1, 0.7, 1.0, 0.2), box(1.1, -0.7, 1.0, 0.2)):  # open toward the robot
         scene.sim.world.spawn(wall, f"wall {wall.at}")
     assert scene.goto(2.4, 0.0, seconds=90) is State.REACHED
+    assert not scene.touched
+
+
+@pytest.mark.parametrize("heading", [-2.9, -3.0])
+def test_the_robot_leaves_an_obstacle_instead_of_creeping_past_it(heading):
+    """With these headings of the grid, a line past the box is free on the grid but refused by the collision check."""
+    scene = Scene("lab")
+    scene.odometry = Pose(2.4, -2.8, heading)
+    scene.sim.teleport(BasePose(4.93, 1.0, math.radians(40.0)))
+    scene.run(0.3)
+    begin = scene.now
+    for x, y in ((5.58, 1.57), (6.83, 1.43)):
+        assert scene.goto(x, y, through=True, tolerance_lin=0.1) is State.REACHED
+    assert scene.now - begin < 11.0
     assert not scene.touched
 
 

@@ -55,6 +55,17 @@ def test_turning_and_stopping_are_always_allowed(guard):
     assert guard.allowed(SETTINGS, 1.0, near, DriveCommand(-0.2)).vx == -0.2
 
 
+def test_a_seen_obstacle_that_slows_a_command_counts_for_a_second(guard):
+    guard.allowed(SETTINGS, 1.0, ORIGIN, FORWARD)
+    assert not guard.slows(1.0)
+    guard.allowed(SETTINGS, 1.1, Pose(0.49, 0.0, 0.0), DriveCommand(omega=0.5))
+    assert not guard.slows(1.1), "a turn is never slowed"
+    guard.allowed(SETTINGS, 1.2, Pose(0.49, 0.0, 0.0), FORWARD)
+    assert guard.slows(1.2)
+    assert guard.slows(2.1)
+    assert not guard.slows(2.3)
+
+
 def test_cells_are_unseen_after_the_memory_time(guard):
     guard.allowed(SETTINGS, 1.0, ORIGIN, FORWARD)
     assert not guard.unseen

@@ -33,6 +33,7 @@ class Scene:
         edit: changes a scan's ranges before the driver receives it; None drops the scan.
         known: whether the driver receives the robot's pose.
         depth: whether the points of a camera, if there is one, reach the driver as the source ``/points``.
+        odometry: the pose of the map in the odometry frame.
     """
 
     def __init__(
@@ -50,6 +51,7 @@ class Scene:
         self.edit: Callable[[np.ndarray], np.ndarray | None] = lambda ranges: ranges
         self.known = self.depth = True
         self._scanned = -1
+        self.odometry = Pose(3.0, -2.0, 0.7)
         self._moved = Pose(0.0, 0.0, 0.0)
         self._fault = ""
 
@@ -73,12 +75,11 @@ class Scene:
     def tick(self) -> None:
         """Advance by 10 ms."""
         sim, pose = self.sim, self.pose
-        # the odometry frame is offset and rotated in the map
         if self._fault == "slipping wheels":
             command = self.driver.command
             self._moved = self._moved @ Pose(command.vx * 0.01, command.vy * 0.01, command.omega * 0.01)
         elif self._fault != "frozen odometry":
-            self._moved = Pose(3.0, -2.0, 0.7) @ pose
+            self._moved = self.odometry @ pose
         moved = self._moved
         if sim.scan.time_ns != self._scanned:
             self._scanned = sim.scan.time_ns
