@@ -57,12 +57,16 @@ def fits_straight(ground: Ground, clutter: Clutter, first: Pose, second: Pose) -
     """Whether a robot fits on the line between two poses with a cell to spare.
 
     The line must be free of obstacles, and must not cross the border of an area with a behavior or near keep-out areas.
+    A robot that is too close to an obstacle must have left it after its radius; otherwise the line leads through it.
     """
     start, end = ground.cell(first.x, first.y), ground.cell(second.x, second.y)
     if start is None or end is None or not ground.spare[start] or not sees(ground.spare, start, end):
         return False
-    line = np.array([first[:2], second[:2]])
-    return len(_parts(ground, *line)) == 1 and not blocked(ground, clutter.closed(), line)
+    line, closed = np.array([first[:2], second[:2]]), clutter.closed()
+    beyond = line[0] + (line[1] - line[0]) * min(1.0, ground.radius / max(first.distance(second), 1e-6))
+    if blocked(ground, closed, line) or blocked(ground, closed, np.stack((beyond, line[1])), inside=True):
+        return False
+    return len(_parts(ground, *line)) == 1
 
 
 def length(places: Places) -> float:

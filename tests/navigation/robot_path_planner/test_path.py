@@ -14,7 +14,7 @@ from navigation.goals import MapPlace
 from navigation.pose import Pose
 from navigation.robot_path_planner.atlas import Leg, LinkedPlaces, leg
 from navigation.robot_path_planner.ground import Clutter, Ground, Zone
-from navigation.robot_path_planner.path import PlannedPath, blocked, plan_path, sample_line
+from navigation.robot_path_planner.path import PlannedPath, blocked, fits_straight, plan_path, sample_line
 from navigation.robot_path_planner.section import RobotPathPlannerSection, WaypointSection
 from navigation.status import Fault, PlanError
 from tests.peers.navigation.floors import ROOMS, SETTINGS, floor, paint
@@ -158,6 +158,19 @@ def test_goal_constraints_override_settings_and_areas_override_both() -> None:
     assert not last.constraints.heading
     (last,) = plan_path(Ground(floor(), 0.2), WEST, EAST._replace(theta=math.nan), SETTINGS).waypoints
     assert (last.pose.theta, last.constraints.heading) == (0.0, False)
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "fits"),
+    [(1.2, 1.0, False), (1.15, 1.1, False), (0.8, 1.0, True), (1.0, 1.2, True), (1.6, 1.0, False)],
+    ids=["ahead", "ahead, aside", "behind", "aside", "farther ahead"],
+)
+def test_a_robot_too_close_to_an_obstacle_may_drive_straight_away_from_it_but_not_through_it(
+    x: float, y: float, fits: bool
+) -> None:
+    ground = Ground(floor(), SETTINGS.robot_radius)
+    clutter = Clutter(ground, 30.0, [np.array([(x, y)])])
+    assert fits_straight(ground, clutter, WEST, EAST) == fits
 
 
 def test_waypoints_keep_their_minimum_distance_on_a_free_line() -> None:
