@@ -33,7 +33,7 @@ from bridge.messages.velocities import TWIST, VELOCITIES
 from bridge.modules.host import Host
 from bridge.routing.counters import Counters
 from bridge.routing.rules import RuleSet
-from bridge.web.verbs.hold import HOLD_SECONDS, HandDriving
+from bridge.web.verbs.hold import RELEASED_SECONDS, HandDriving
 
 _log = logging.getLogger("midspan.foxglove")
 
@@ -178,7 +178,7 @@ class ClientVelocity(PublishedChannel):
             self.counters.dropped("bad")
             raise NotPublishedError("a velocity must be finite")
         self._refusal = ""
-        if message.arrived - self._arrived > HOLD_SECONDS or not any((x, y, rotation)):
+        if message.arrived - self._arrived > RELEASED_SECONDS or not any((x, y, rotation)):
             self._pressed = message.arrived  # an app has no message for a released control: it is silent, or sends zero
         self._arrived = message.arrived
         self._driving.hold(self, x, y, rotation, message.arrived, self._pressed)

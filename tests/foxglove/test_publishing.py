@@ -177,8 +177,8 @@ def test_a_halt_on_the_hub_ends_driving_until_the_control_is_released(driven: De
 def test_driving_is_refused_while_a_person_drives_with_another_program(
     driven: Desk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in (hold, publishing):  # on a busy machine, the app may be silent for longer
-        monkeypatch.setattr(module, "HOLD_SECONDS", 60.0)
+    for module, name in ((hold, "HOLD_SECONDS"), (hold, "RELEASED_SECONDS"), (publishing, "RELEASED_SECONDS")):
+        monkeypatch.setattr(module, name, 60.0)  # on a busy machine, the app may be silent for longer
     subscription = driven.far.subscribe("/cmd_vel", "geometry_msgs/Twist")
     other = ManualControl(driven.far.hub, "/cmd_vel")
     with driven.app() as app:

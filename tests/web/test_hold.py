@@ -131,7 +131,11 @@ def test_one_page_drives_at_a_time(desk: Desk) -> None:
 
 
 @pytest.mark.usefixtures("patience")
-def test_a_hold_is_refused_while_a_person_drives_with_another_program(desk: Desk) -> None:
+@pytest.mark.parametrize("released", [True, False])
+def test_a_hold_is_refused_while_a_person_drives_with_another_program(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch, released: bool
+) -> None:
+    monkeypatch.setattr("bridge.web.verbs.hold.RELEASED_SECONDS", 60.0)
     base, other = Base(desk), ManualControl(desk.far.hub, "/cmd_vel")
     with TestPage(desk.port) as page:
         other.begin("anna (foxglove)")
@@ -145,7 +149,10 @@ def test_a_hold_is_refused_while_a_person_drives_with_another_program(desk: Desk
         page.send(op="hold", x=0.1, y=0.0, turn=0.0)
         page.until(lambda: len(page.errors()) > 1 or base.drives(), "the control is still pressed")
         assert (page.errors()[1:], base.received) == (["release the control first"], [])
-        page.send(op="release")
+        if released:
+            page.send(op="release")
+        else:
+            monkeypatch.setattr("bridge.web.verbs.hold.RELEASED_SECONDS", 0.0)  # it has been silent for long enough
         hold(page, base)
         until(lambda: other.rival().endswith("(web) drives manually"), "the other program is refused meanwhile")
         page.send(op="release")

@@ -20,7 +20,6 @@ from yarp_compat.ports.outgoing import Content
 from yarp_compat.ports.port import PortCore
 from yarp_compat.ports.sockets import Openable, closed_on_failure
 from yarp_compat.pythonic import Client, Reader, Received
-from yarp_compat.wire.contact import PortContact
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.framing import Buffer
 from yarp_compat.wire.generation import Generation
@@ -95,8 +94,6 @@ class StreamReader(Reader):
         self._wake = threading.Event()
         super().__init__(name, strict=strict, naming=naming, on_event=lambda _event: self._wake.set())
         self._source, self._carrier = source, carrier
-        self._source_name = PortContact.parse(source).name
-        self._named = False  # whether the source has connected under this name
         self._thread: threading.Thread | None = None
 
     @override
@@ -107,7 +104,6 @@ class StreamReader(Reader):
         super().open()
         with closed_on_failure(self):
             self._connect()
-            self._is_missing()
             thread = threading.Thread(target=self._run, name=f"yarp stream {self._source}", daemon=True)
             thread.start()
             self._thread = thread
@@ -131,7 +127,8 @@ class StreamReader(Reader):
             self._wake.clear()
             if not self.core.is_open:
                 return
-            missing = self._is_missing()
+            # another source may have replaced it (``yarp connect``, ``yarp disconnect``): two would be mixed
+            missing = not self.core.connections.inputs
             if missing:
                 try:
                     self._connect()
@@ -139,12 +136,6 @@ class StreamReader(Reader):
                     pass
                 except Exception:  # without this thread, the stream would end for good
                     log.exception("reconnecting the stream of %s failed", self._source)
-
-    def _is_missing(self) -> bool:
-        """Return whether the source is not connected; another port may be, because any port may connect to a reader."""
-        sources = {connection.route.source for connection in self.core.connections.inputs}
-        self._named = self._named or self._source_name in sources
-        return self._source_name not in sources if self._named else not sources
 
 
 T = TypeVar("T", bound=Portable)

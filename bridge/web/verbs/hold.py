@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from threading import Event
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from bridge.client.manual import ManualControl
 from bridge.client.velocity import STOP_SECONDS, VelocityPublisher
@@ -16,6 +16,9 @@ from bridge.modules.velocity import velocity_publisher
 
 HOLD_SECONDS = 0.3
 """A page's hold ends after this time without a message from the page."""
+
+RELEASED_SECONDS = 1.5
+"""A refused control counts as released after this time without a message. Foxglove's panel sends one a second."""
 
 _PERIOD = 0.05
 _ZERO = (0.0, 0.0, 0.0)
@@ -33,6 +36,13 @@ class HandDriver(Protocol):
 
     def refuse(self, why: str) -> None:
         """Report why the page may not drive."""
+
+
+class _Refusal(NamedTuple):
+    """When a refused control was pressed, and when its last message arrived."""
+
+    pressed: float
+    arrived: float
 
 
 class HandDriving:
@@ -67,7 +77,7 @@ class HandDriving:
         self.stopped.set()
         self._control = ManualControl(host.node.hub, topic)
         self._holder: HandDriver | None = None
-        self._refused: dict[HandDriver, float] = {}  # when the controls were pressed that were refused
+        self._refused: dict[HandDriver, _Refusal] = {}
         self._halted_at = -math.inf
         self._ended = False
         self._velocity: Velocity = _ZERO
@@ -89,10 +99,10 @@ class HandDriving:
         """
         if self._ended or steady() - arrived > HOLD_SECONDS:
             return
-        reason = self._refusal(page, pressed)
+        reason = self._refusal(page, arrived, pressed)
         if reason:
             self.release(page)
-            self._refused[page] = pressed
+            self._refused[page] = _Refusal(pressed, arrived)
             page.refuse(reason)
             return
         if self._holder is None:
@@ -108,7 +118,7 @@ class HandDriving:
         self._until = arrived + HOLD_SECONDS
         self._publish()
 
-    def _refusal(self, page: HandDriver, pressed: float) -> str:
+    def _refusal(self, page: HandDriver, arrived: float, pressed: float) -> str:
         """Return why a page may not drive; "" if it may. Once refused, a control drives only if it is pressed again."""
         holder = self._holder
         if pressed <= self._halted_at:
@@ -117,7 +127,9 @@ class HandDriving:
             return "no velocity topic is configured (navigation.velocity)"
         if holder is not None and holder is not page:
             return f"{holder.who} drives manually"
-        return self._others() or ("release the control first" if pressed <= self._refused.get(page, -math.inf) else "")
+        refused = self._refused.get(page)
+        held = refused is not None and pressed <= refused.pressed and arrived - refused.arrived < RELEASED_SECONDS
+        return self._others() or ("release the control first" if held else "")
 
     def release(self, page: HandDriver) -> None:
         """Stop driving for a page."""

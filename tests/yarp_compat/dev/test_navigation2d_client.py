@@ -261,19 +261,6 @@ def test_a_stream_continues_after_its_connection_has_ended(naming: LocalNaming, 
             until(lambda: writer.write(KITCHEN) and positions.read_now(), "the stream continues")
 
 
-def test_a_stream_reconnects_while_another_port_is_connected_to_its_reader(naming: LocalNaming) -> None:
-    source = "/loc/streaming:o"
-    with ExitStack() as writers:
-        writer = writers.enter_context(Writer(source, naming=naming))
-        other = writers.enter_context(Writer("/other", naming=naming))
-        with Stream(source, Map2DLocation, "/me", naming=naming) as positions:
-            other.connect("/me")
-            writer.close()
-            writer = writers.enter_context(Writer(source, naming=naming))
-            until(lambda: writer.write(KITCHEN) and positions.read_now(), "the stream continues")
-            assert other.core.connections.outputs
-
-
 def test_a_stream_reconnects_after_an_unexpected_error(
     naming: LocalNaming, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
