@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from bridge.hub.wire.qos import Qos
+import logging
+from dataclasses import replace
+
+from bridge.hub.wire.qos import Durability, Qos
 from bridge.routing.counters import Counters
 from bridge.routing.limits import Priority, RateLimit, default_priority
 from bridge.routing.rules import RoutePolicy
 from bridge.routing.stall import AgeGate, StallDetector
+
+_log = logging.getLogger(__name__)
 
 
 class TopicAdmission:
@@ -25,6 +30,10 @@ class TopicAdmission:
         self.policy, self.counters = policy, counters
         self._topics, self._type_name, self._stall_detector = topics, type_name, stall_detector
         self._limit = RateLimit(policy.rate) if policy.rate and policy.priority != Priority.STATE.value else None
+        if policy.qos.durability == "transient_local" and self.priority_of(latched=True) is Priority.COMMAND:
+            _log.warning(
+                "%s: the rule's durability transient_local has no effect: commands are never latched", topics[0]
+            )
 
     def priority_of(self, *, latched: bool) -> Priority:
         """Return the priority class that the rule sets, or else the default for the names, the type and latching.
@@ -38,8 +47,14 @@ class TopicAdmission:
 
     def latches(self, qos: Qos) -> bool:
         """Return whether the messages of a publisher with this QoS are latched; commands never are."""
-        latched = self.policy.override(qos).latched
-        return latched and self.priority_of(latched=latched) is not Priority.COMMAND
+        return self.override(qos).latched
+
+    def override(self, qos: Qos) -> Qos:
+        """Return the QoS with the policies that the rule sets; commands are never latched."""
+        qos = self.policy.override(qos)
+        if qos.latched and self.priority_of(latched=True) is Priority.COMMAND:
+            return replace(qos, durability=Durability.VOLATILE)
+        return qos
 
     def over_rate(self, *, latched: bool) -> bool:
         """Return whether the rule's ``rate`` drops a message that arrives now; latched ones always pass."""

@@ -204,7 +204,7 @@ class HubToSideRoute(TopicRoute):
                 self._publishers.open_volatile(max(stream_depth(self.conversion.source.definition), *volatile))
 
     def _advertise(self, qos: Qos) -> EdgePublisher:
-        return self._context.edge.advertise(self.side_topic, self.conversion.target, self.policy.override(qos))
+        return self._context.edge.advertise(self.side_topic, self.conversion.target, self.override(qos))
 
     def _follow_demand(self, allowed: Sequence[HubEndpoint]) -> None:
         """Unsubscribe from a fast stream while the side has no subscriber; subscribe again when one appears."""

@@ -165,7 +165,7 @@ class SideToHubRoute(TopicRoute):
         self._sources[endpoint.id] = _SidePublisher(endpoint, publisher, put, latched, AgeGate())
 
     def _publisher(self, qos: Qos) -> HubPublisher:
-        qos = self.policy.override(qos)
+        qos = self.override(qos)
         if self._priority is Priority.COMMAND:
             qos = Qos(qos.reliability, Durability.VOLATILE, depth=1)
         target = self.conversion.target
@@ -200,7 +200,7 @@ class SideToHubRoute(TopicRoute):
             Durability.VOLATILE if command else Durability.TRANSIENT_LOCAL,
             depth=1 if command else stream_depth(self.conversion.target.definition),
         )
-        wanted = self.policy.override(wanted)
+        wanted = self.override(wanted)
         deliver = self._doorway or self.deliver
         self._subscription = self._context.edge.subscribe(self.key.topic, self.conversion.source, wanted, deliver)
 

@@ -11,12 +11,12 @@ from bridge.clock import RunClock
 from bridge.config.sections.routing import RoutingSection
 from bridge.hub.endpoints.publisher import HubPublisher
 from bridge.hub.session import Hub
-from bridge.hub.wire.qos import Qos
+from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.errors import ConversionError
 from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry
 from bridge.routing.decision import RouteDecision
-from bridge.routing.edge import MadeBy
+from bridge.routing.edge import Kind, MadeBy
 from bridge.routing.engine import Engine
 from bridge.routing.velocities import unstamped, with_stamp
 from tests.peers.fake import FakeEdge, FakeNetwork, Reader
@@ -239,3 +239,36 @@ def test_a_malformed_velocity_is_not_converted() -> None:
 def test_only_topics_that_cross_are_converted(more: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match="stamped is for topics that are bridged"):
         RoutingSection.model_validate({"rules": [{"topic": CMD_VEL, "stamped": True, **more}]})
+
+
+TRANSIENT = {"topic": CMD_VEL, "qos": {"durability": "transient_local"}}
+
+
+def midspans(side: Side, kind: Kind) -> list[Qos]:
+    """Return the QoS of Midspan's endpoints on the side."""
+    return [e.qos for e in side.network.endpoints() if (e.kind, e.topic, e.made_by) == (kind, CMD_VEL, MadeBy.MIDSPAN)]
+
+
+def test_a_rule_latches_no_velocity_on_a_side(side: Side, caplog: pytest.LogCaptureFixture) -> None:
+    """A base that subscribes late would move at the last velocity."""
+    side.rules(TRANSIENT)
+    side.base(CMD_VEL, TWIST)
+    program = side.program(TWIST)
+    until(lambda: arrived(side, program, TWIST, TWIST), "the velocity arrives on the side")
+    assert [qos.latched for qos in midspans(side, Kind.PUBLISHER)] == [False]
+    assert side.network.retained() == []
+    late = list[bytes]()
+    side.network.read_from(CMD_VEL, TWIST, LATCHED, MadeBy.NATIVE, "/late", lambda payload, *_: late.append(payload))
+    assert late == []
+    assert f"{CMD_VEL}: the rule's durability transient_local has no effect" in caplog.text
+
+
+def test_a_rule_requests_no_latched_velocity_from_a_side(side: Side) -> None:
+    side.rules(TRANSIENT)
+    writer = side.network.write_on(CMD_VEL, TWIST, LATCHED, MadeBy.NATIVE, "/joystick")
+    side.network.write(writer, WITHOUT_STAMP)
+    subscriptions = until(lambda: midspans(side, Kind.SUBSCRIPTION), "the side's publisher has a route")
+    assert [qos.latched for qos in subscriptions] == [False]
+    publishers = until(lambda: side.far.graph.publishers(CMD_VEL), "the publisher is seen")
+    assert [publisher.qos.latched for publisher in publishers] == [False]
+    assert [route.counters.messages for route in side.engine.routes()] == [0], "the last velocity does not cross"

@@ -112,3 +112,13 @@ def test_a_rule_sets_whether_messages_are_latched(relay: Relays, node: Nodes, du
     connect(publisher, received)
     (relayed,) = worker.relay.topics().values()
     assert all((gid == publisher.gid) is (durability != "volatile") for _, gid in relayed._publishers)
+
+
+def test_a_rule_latches_no_command(relay: Relays, node: Nodes) -> None:
+    worker = relay({"topic": "/topic", "priority": "command", "qos": {"durability": "transient_local"}})
+    topic = Topics(STRING, LATCHED)
+    publisher, received = topic.publisher(node(HUMBLE)), topic.subscription(node(JAZZY))
+    until_topics(worker, 1)
+    connect(publisher, received)
+    (relayed,) = worker.relay.topics().values()
+    assert [gid for _, gid in relayed._publishers] == [b""], "only latched publishers have their own"
