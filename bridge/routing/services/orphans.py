@@ -7,16 +7,17 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import partial
 
 from bridge.concurrency import DelayedCalls
-from bridge.hub.endpoints.calls import Call, CallError
+from bridge.hub.endpoints.calls import Abandon, Call, CallError
 from bridge.messages.actions import CANCEL_GOAL, CancelCode, part_name
 
 _log = logging.getLogger(__name__)
 
 PAUSE_SECONDS = 1.0
-"""Pause before a cancel request without effect is repeated."""
+"""Pause before a cancel request without effect or reply is repeated."""
 
 _REPEATS = 10
 """How often it is repeated: the planner may have rejected the goal, and then it never knows it."""
@@ -32,11 +33,28 @@ _CODE = 4
 _EFFECTIVE = (CancelCode.NONE, CancelCode.GOAL_TERMINATED)
 
 
+@dataclass(eq=False, slots=True)
+class _Orphan:
+    """A goal to cancel: ``calls`` end the requests that were made, ``code`` is the last reply's, None before it."""
+
+    action: str
+    request: bytes
+    repeats: int
+    calls: list[Abandon] = field(default_factory=list)
+    code: int | None = None
+
+    def on_reply(self, reply: bytes | CallError) -> None:
+        """Note the reply, unless an earlier one was effective; called on any thread."""
+        if self.code not in _EFFECTIVE:
+            self.code = reply[_CODE] if isinstance(reply, bytes) and len(reply) > _CODE else CancelCode.REJECTED
+
+
 class OrphanCancels:
     """Cancels orphaned goals. Safe to use from any thread.
 
     A request is repeated, because it may be lost, or overtake its goal: the two take different connections to a server,
-    which accepts a goal that arrives after its cancel request.
+    which accepts a goal that arrives after its cancel request. Calls without a reply are abandoned only at the end,
+    because a side may hold a request back for seconds.
 
     Args:
         later: makes delayed calls.
@@ -51,20 +69,21 @@ class OrphanCancels:
         if len(request) < _UUID.stop:
             return
         _log.warning("the client that sent a goal to %s has left: canceling the goal", action)
-        self._send(action, _HEADER + request[_UUID] + bytes(8), _REPEATS)
+        self._send(_Orphan(action, _HEADER + request[_UUID] + bytes(8), _REPEATS))
 
-    def _send(self, action: str, request: bytes, repeats: int) -> None:
-        call = self._find(part_name(action, CANCEL_GOAL))
+    def _send(self, orphan: _Orphan) -> None:
+        call = self._find(part_name(orphan.action, CANCEL_GOAL))
         if call is not None:
-            call(request, partial(self._on_reply, action, request, repeats))
-        else:
-            self._on_reply(action, request, repeats, CallError("it has no server"))
+            orphan.calls.append(call(orphan.request, orphan.on_reply))
+        self._later.after(PAUSE_SECONDS, partial(self._check, orphan))
 
-    def _on_reply(self, action: str, request: bytes, repeats: int, reply: bytes | CallError) -> None:
-        code = reply[_CODE] if isinstance(reply, bytes) and len(reply) > _CODE else CancelCode.REJECTED
-        if code in _EFFECTIVE:
+    def _check(self, orphan: _Orphan) -> None:
+        """Repeat the request if it had no effect; at the end, abandon the calls without a reply."""
+        if orphan.code not in _EFFECTIVE and orphan.repeats:
+            orphan.repeats -= 1
+            self._send(orphan)
             return
-        if repeats:
-            self._later.after(PAUSE_SECONDS, partial(self._send, action, request, repeats - 1))
-        elif code != CancelCode.UNKNOWN_GOAL_ID:
-            _log.warning("%s did not cancel the goal of a client that has left", action)
+        for abandon in orphan.calls:
+            abandon()
+        if orphan.code not in (*_EFFECTIVE, CancelCode.UNKNOWN_GOAL_ID):
+            _log.warning("%s did not cancel the goal of a client that has left", orphan.action)

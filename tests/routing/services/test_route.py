@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
+from unittest.mock import MagicMock
 
 import pytest
 import zenoh
@@ -38,6 +39,7 @@ from bridge.routing.peer_watch import Lease
 from bridge.routing.services import held, orphans
 from bridge.routing.services import route as service_route
 from bridge.routing.services.held import HeldCalls
+from bridge.routing.services.orphans import OrphanCancels
 from tests.peers.fake import FakeEdge, FakeNetwork
 from tests.peers.hub.calls import Calling, Serving
 from tests.peers.hub.quick import QuickHub
@@ -450,6 +452,43 @@ def test_canceling_a_planners_goal_is_repeated_until_its_server_knows_the_goal(
     assert len(set(asked)) == 1
     time.sleep(0.5)
     assert len(asked) == len(codes), "a canceled goal is not canceled again"
+
+
+def test_a_cancel_request_without_a_reply_is_repeated_and_abandoned(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(orphans, "PAUSE_SECONDS", 0.1)
+    monkeypatch.setattr(orphans, "_REPEATS", 3)
+    action, asked, abandoned = "/planner/nav2/navigate_to_pose", list[Done](), list[int]()
+
+    def cancel(_request: bytes, done: Done) -> Abandon:
+        number = len(asked)
+        asked.append(done)
+        return lambda: abandoned.append(number)
+
+    hub = Hub.open(rig.hubs.settings("gateway"))
+    rig.network.serve(part_name(action, CANCEL_GOAL), CANCEL, MadeBy.NATIVE, "/native", cancel)
+    _begin_goal(rig, hub, action, SEND_GOAL)
+    hub.close()
+    until(lambda: abandoned == [0, 1, 2, 3], "a request without a reply is repeated three times, and then abandoned")
+    time.sleep(0.5)
+    assert len(asked) == 4
+
+
+def test_a_late_reply_to_an_abandoned_cancel_request_has_no_effect() -> None:
+    later, asked, abandoned = MagicMock(), list[Done](), list[int]()
+
+    def call(_request: bytes, done: Done) -> Abandon:
+        number = len(asked)
+        asked.append(done)
+        return lambda: abandoned.append(number)
+
+    OrphanCancels(later, lambda _name: call).cancel("/navigate_to_pose", bytes(20))
+    later.after.call_args.args[1]()
+    assert (len(asked), abandoned) == (2, []), "the side may still send the first request"
+    asked[1](from_json(REGISTRY, f"{CANCEL}_Response", {"return_code": CancelCode.NONE}))
+    later.after.call_args.args[1]()
+    assert abandoned == [0, 1]
+    asked[0](CallError("late"))
+    assert (len(asked), later.after.call_count) == (2, 2), "the request is not repeated"
 
 
 def _goal(rig: Rig, hub: Hub, action: str, part: str) -> Serving:
