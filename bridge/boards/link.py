@@ -22,6 +22,7 @@ _log = logging.getLogger(__name__)
 _RETRY_SECONDS = 2.0  # between two attempts to reach a board
 _SILENT_SECONDS = 1.0  # without a state; the link then reconnects
 _POLL_SECONDS = 0.1
+_WORKED_SECONDS = 60.0  # of a link, after which its trouble is logged again
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,7 @@ class BoardLink:
         self.remote = section.remote
         self.trouble = "not reached yet"
         self.states = 0
+        self._logged = ""
         self._commands, self._drive = CommandSlot(), JointDrive()
         self._last_state = 0.0
         self._stopping = threading.Event()
@@ -108,22 +110,28 @@ class BoardLink:
 
     def _run(self) -> None:
         while not self._stopping.is_set():
+            began = time.monotonic()
             client = ControlBoardClient(self._section.remote, self._local, naming=self._naming, on_state=self._on_state)
             try:
                 with client:
                     self._prepare(client)
                     self._follow(client)
             except (OSError, WireError) as error:
-                if str(error) != self.trouble:
-                    _log.info("%s: %s", self._section.remote, error)
                 self.trouble = str(error) or type(error).__name__
+                if self._is_news(began):
+                    _log.info("%s: %s", self._section.remote, self.trouble)
             except Exception as error:  # nothing else would stop the joints, which the next connection does
-                text = f"{type(error).__name__}: {error}"
-                if text != self.trouble:
+                self.trouble = f"{type(error).__name__}: {error}"
+                if self._is_news(began):
                     _log.exception("%s: the link failed", self._section.remote)
-                self.trouble = text
             self.joints = None
             self._stopping.wait(_RETRY_SECONDS)
+
+    def _is_news(self, began: float) -> bool:
+        """Return whether the trouble is to be logged: it is another one, or the link has worked for a while."""
+        repeated = self.trouble == self._logged and time.monotonic() - began < _WORKED_SECONDS
+        self._logged = self.trouble
+        return not repeated
 
     def _prepare(self, client: ControlBoardClient) -> None:
         names = self._section.joints or tuple(self._name(client, axis) for axis in range(client.axes))

@@ -53,6 +53,9 @@ def test_a_link_continues_after_an_unexpected_error(
     board, tried, failing = MagicMock(), list[float](), threading.Event()
     failing.set()
 
+    def prepare(link: BoardLink, _client: Any) -> None:
+        link.joints, link.trouble = MagicMock(), ""
+
     def follow(_link: BoardLink, _client: Any) -> None:
         tried.append(time.monotonic())
         if failing.is_set():
@@ -61,13 +64,13 @@ def test_a_link_continues_after_an_unexpected_error(
 
     monkeypatch.setattr(board_link, "_RETRY_SECONDS", 0.01)
     monkeypatch.setattr(board_link, "ControlBoardClient", lambda *_args, **_options: board)
-    monkeypatch.setattr(BoardLink, "_prepare", lambda link, _client: setattr(link, "joints", MagicMock()))
+    monkeypatch.setattr(BoardLink, "_prepare", prepare)
     monkeypatch.setattr(BoardLink, "_follow", follow)
     link = BoardLink(ControlBoardSection(remote="/robot/arm"), "/here", MagicMock(), MagicMock())
     link.start()
     try:
         until(lambda: len(tried) > 3, "the link tries again")
-        assert link.trouble == "IndexError: tuple index out of range"
+        until(lambda: link.trouble == "IndexError: tuple index out of range", "the trouble is reported")
         assert caplog.text.count("/robot/arm: the link failed") == 1, "the same error is logged once"
         failing.clear()
         until(lambda: link.joints is not None, "the link works again")
