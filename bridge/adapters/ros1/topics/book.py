@@ -94,7 +94,7 @@ class TopicBook:
                 here, other = kinds if publication.lifespan is None else kinds[::-1]
                 raise MessageTypeError(
                     f"{topic} is already published on ROS 1 for {here}, so it cannot also be for {other}",
-                    "set `priority: command` in the rules of both topics or of neither, or rename one of the two",
+                    "set `priority: command` in the rules of both topics, or rename one of the two",
                 )
             publication.latches += latched
             publication.users += 1
