@@ -24,6 +24,9 @@ from bridge.routing.edge import Deliver
 TAKES_PER_TURN = 32
 """Messages taken from one subscription before the loop serves the others."""
 
+_FAILED_SECONDS = 0.1
+"""Pause after a failure to wait for messages, which may repeat at once."""
+
 _log = logging.getLogger(__name__)
 
 
@@ -81,7 +84,7 @@ class ReadLoop(ABC):
     def __init__(self, resolve: Callable[[bytes], bytes] | None = None) -> None:
         self._resolve = resolve
         self._readers: dict[int, EndpointReader] = {}
-        self._stopping = False
+        self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="midspan-ros2-take", daemon=True)
 
     def start(self) -> None:
@@ -98,7 +101,7 @@ class ReadLoop(ABC):
 
     def stop(self) -> None:
         """End the thread and destroy all readers."""
-        self._stopping = True
+        self._stopping.set()
         self._wake_up()
         if self._thread.is_alive():
             self._thread.join()
@@ -162,11 +165,12 @@ class QueueReadLoop(ReadLoop):
     def _serve_all(self, taker: rcl.Taker) -> None:
         joining = Joining()
         try:
-            while not self._stopping:
+            while not self._stopping.is_set():
                 try:
                     self._serve(taker, joining)
                 except Exception:
                     _log.exception("waiting for messages failed")
+                    self._stopping.wait(_FAILED_SECONDS)
         finally:
             joining.end()
 
@@ -237,7 +241,7 @@ class WaitSetReadLoop(ReadLoop):
     def _serve_all(self, taker: rcl.Taker) -> None:
         with self._guard:
             wait_set = self._participant.make_wait_set(1)
-            while not self._stopping:
+            while not self._stopping.is_set():
                 if self._apply_changes():
                     wait_set = self._participant.make_wait_set(1, len(self._readers))
                 wait_set.clear_entities()

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import ctypes
 import threading
+import time
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -150,7 +152,7 @@ def test_joined_messages_are_sent_when_the_loop_stops() -> None:
     def last() -> None:
         lane.put()
         stopper.start()
-        until(lambda: loop._stopping, "the loop stops")
+        until(lambda: loop._stopping.is_set(), "the loop stops")
 
     stopper = threading.Thread(target=loop.stop)
     reader = Reader(last)
@@ -179,6 +181,21 @@ def test_a_reader_that_cannot_be_closed_stops_no_other(caplog: pytest.LogCapture
     assert (stays.destroyed, works.destroyed) == (False, True)
     assert "a reader stays" in caplog.text
     stays.report()
+
+
+def test_a_loop_whose_wait_fails_does_not_spin(monkeypatch: pytest.MonkeyPatch) -> None:
+    loop, failures = QueueReadLoop(), list[float]()
+    queue = loop._queue
+
+    def wait() -> None:
+        failures.append(time.monotonic())
+        raise OSError
+
+    monkeypatch.setattr(loop, "_queue", SimpleNamespace(wait=wait, wake=queue.wake))
+    loop.start()
+    until(lambda: len(failures) >= 3, "the wait is repeated")
+    assert failures[2] - failures[0] > 0.15
+    loop.stop()
 
 
 def test_large_messages_of_any_size_arrive_whole(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
