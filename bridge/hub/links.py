@@ -306,7 +306,7 @@ class LinkLimits:
                 limit_links(self._process)
                 self._check()
             except zenoh.ZError:  # the session is being closed
-                pass
+                self.trouble = ""
             except Exception as err:
                 self.trouble = f"checking the links to other machines failed: {type(err).__name__}: {err}"
                 if time.monotonic() > self._logged_at + _LOG_SECONDS:

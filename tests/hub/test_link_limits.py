@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 import psutil
 import pytest
+import zenoh
 
 from bridge.hub import links
 from bridge.hub.links import LinkLimits, limit_links
@@ -34,6 +35,22 @@ def test_tcp_closes_dead_links_to_other_machines(link: socket.socket) -> None:
 def test_local_links_are_unchanged(link: socket.socket) -> None:
     limit_links(psutil.Process())
     assert limit(link) == 0
+
+
+def test_a_closing_session_is_no_trouble(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(links, "_EVERY", 0.01)
+    closing = threading.Event()
+
+    def check() -> None:
+        raise zenoh.ZError("session closed") if closing.is_set() else RuntimeError
+
+    limits = LinkLimits(check)
+    try:
+        until(lambda: limits.trouble, "the check fails")
+        closing.set()
+        until(lambda: not limits.trouble, "the trouble ends with the session")
+    finally:
+        limits.close()
 
 
 def test_links_are_checked_again_after_an_error(
