@@ -14,6 +14,13 @@ _CONFIG = """
 modules:
   base_control: {wheel_command: /wheels}
   control_boards: {boards: [{remote: /cer/arm, command: /arm/go}]}
+routing:
+  rules:
+    - {topic: /gripper/force, to: ros1, priority: command}
+    - {topic: /teleop/drive, to: ros1, rename: /base/cmd_drive}
+    - {topic: /arm/wish, rename: /arm/command}
+    - {topic: /denied/*, to: ros1, deny: true}
+    - {topic: /cmd_*, from: ros1, rename: /state/*}
 """
 
 
@@ -36,6 +43,10 @@ def moving(tmp_path: Path) -> CommandTopics:
         ("/wheel_command", JOINTS),
         ("/arm/command", "std_msgs/msg/Float64"),
         ("/ackermann_cmd", "ackermann_msgs/msg/AckermannDriveStamped"),
+        ("/gripper/force", "std_msgs/msg/Float64"),
+        ("/teleop/drive", "ackermann_msgs/msg/AckermannDriveStamped"),
+        ("/arm/wish", "std_msgs/msg/Float64"),
+        ("/teleop/twist", TWIST),
     ],
 )
 def test_topics_that_move_a_robot_are_recognized(name: str, type_name: str, moving: CommandTopics) -> None:
@@ -47,6 +58,7 @@ def test_topics_that_move_a_robot_are_recognized(name: str, type_name: str, movi
     [
         ("/joint_states", JOINTS),
         ("/odom", "nav_msgs/msg/Odometry"),
+        ("/state/speed", "std_msgs/msg/Float64"),
         ("/pose", "geometry_msgs/msg/PoseStamped"),
         ("/initialpose", "geometry_msgs/msg/PoseWithCovarianceStamped"),
     ],

@@ -21,7 +21,8 @@ from bridge.messages.registry import Registry
 from bridge.messages.velocities import VELOCITIES
 from bridge.routing.limits import COMMAND_NAME, Priority, default_priority
 from bridge.routing.rewrites import TF_TYPE
-from bridge.routing.rules import RuleSet
+from bridge.routing.rules import ENTRY, RuleSet
+from bridge.sides import all_networks
 
 STATIC = "/tf_static"
 _GOAL = "Goal"
@@ -77,8 +78,8 @@ class CommandTopics:
     """Recognizes topics that move a robot, by type and name: those of docs/operate/security.md, and more.
 
     The access rules of the hub must not block state topics, but a topic left out here can be played with `--commands`.
-    So a name like that of a command is enough, whatever the type, and topics that drive this configuration's joints
-    count, too.
+    So a name like that of a command is enough, whatever the type, on the hub or on a side. Topics that drive this
+    configuration's joints, and topics that a rule marks as commands, count too.
     """
 
     def __init__(self, config: Config) -> None:
@@ -98,7 +99,9 @@ class CommandTopics:
         last = name.rpartition("/")[2]
         if any(_fits(last, part) for part in self._parts.get(_short(type_name), ())):
             return True
-        return self._rules.enter("zenoh", name, type_name).priority == Priority.COMMAND.value
+        policies = [self._rules.leave(ENTRY, side, name, type_name) for side in all_networks() if side != ENTRY]
+        policies.append(self._rules.enter(ENTRY, name, type_name))
+        return any(p.priority == Priority.COMMAND.value or COMMAND_NAME.search(p.name) for p in policies)
 
 
 def _short(type_name: str) -> str:
