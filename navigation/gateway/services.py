@@ -93,25 +93,27 @@ class VelocityCommander:
         else:
             self._control.end()
         self._velocity, self._until = velocity, time.monotonic() + min(max(seconds, 0.0), LONGEST_SECONDS)
-        self._send(velocity)
         if self._timer is None:
             self._timer = self._host.loop.every(_PERIOD, self._repeat)
+        self._send(velocity)
 
     def stop(self) -> None:
         """End the command; a base that followed the command stops."""
         if self._until:
             self._until = 0.0
-            self._send(YarpVelocity())
-            self._control.end()
+            try:
+                self._send(YarpVelocity())
+            finally:
+                self._control.end()
 
     def end(self, done: Callable[[], None]) -> None:
         """Stop, accept no further commands of clients, and call ``done`` after the last zero."""
         self._ending = True
-        self.stop()
         if self._timer is None:
             done()
         else:
             self._ended = done
+            self.stop()
 
     def halt(self) -> None:
         """Command zero for `OVERRIDE_SECONDS`, to override any other source of velocities."""

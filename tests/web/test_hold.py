@@ -5,12 +5,14 @@ from __future__ import annotations
 import socket
 import time
 from typing import Any
+from unittest.mock import MagicMock
 
 import pytest
 
 from bridge.client.manual import ManualControl
 from bridge.clock import steady
 from bridge.hub.control import MANUAL_DRIVING_HALTED
+from bridge.hub.errors import HubClosedError
 from bridge.hub.wire.qos import Qos
 from bridge.messages.json import to_json
 from bridge.messages.velocities import TWIST, TWIST_STAMPED
@@ -270,3 +272,35 @@ def test_a_stop_goes_to_the_gateway_and_ends_a_hold(desk: Desk) -> None:
         assert reply["value"] == "stands"
         until(base.stands, "the hold has ended")
     assert stops is not None
+
+
+def fail(*_arguments: object) -> None:
+    raise HubClosedError("this node of the hub is closed")
+
+
+@pytest.mark.usefixtures("patience")
+@pytest.mark.parametrize("at", ["begin", "stop"])
+def test_others_can_drive_after_a_hold_that_cannot_be_published(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch, at: str
+) -> None:
+    driving, loop, other = desk.console._hold, desk.console.host.loop, ManualControl(desk.far.hub, "/cmd_vel")
+    person = MagicMock(who="anna")
+
+    def hold_now() -> None:
+        driving.hold(person, 0.1, 0.0, 0.0, steady(), steady())
+
+    with monkeypatch.context() as patch:
+        if at == "begin":
+            patch.setattr("bridge.web.verbs.hold.velocity_publisher", fail)
+            with pytest.raises(HubClosedError):
+                loop.call(hold_now)
+        else:
+            loop.call(hold_now)
+            until(other.rival, "the other program is refused meanwhile")
+            patch.setattr(driving, "_publish", fail)
+            with pytest.raises(HubClosedError):
+                loop.call(lambda: driving.release(person))
+        assert not driving._control.held
+    until(lambda: not other.rival(), "control is free")
+    loop.call(hold_now)
+    until(other.rival, "the person drives when publishing works again")

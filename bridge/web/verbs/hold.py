@@ -106,11 +106,11 @@ class HandDriving:
             page.refuse(reason)
             return
         if self._holder is None:
+            self._out = self._out or velocity_publisher(self._host, self._topic)
+            self._control.begin(f"{page.who} ({self._host.name})")
             self._host.log.info("%s drives manually", page.who)
             self._holder = page
-            self._control.begin(f"{page.who} ({self._host.name})")
             self.stopped.clear()
-            self._out = self._out or velocity_publisher(self._host, self._topic)
             self._timer = self._timer or self._host.loop.every(_PERIOD, self._repeat)
             self._on_begin()
         speed, most_turn = self._most
@@ -155,8 +155,10 @@ class HandDriving:
             return
         page, self._holder, self._velocity = self._holder, None, _ZERO
         self._zeros = round(STOP_SECONDS / _PERIOD)
-        self._publish()
-        self._control.end()
+        try:
+            self._publish()
+        finally:
+            self._control.end()
         page.held(*_ZERO)
         self._host.log.info("%s no longer drives manually", page.who)
 

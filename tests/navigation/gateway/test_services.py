@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from bridge.client.velocity import STOP_SECONDS
+from bridge.hub.errors import HubClosedError
 from navigation.gateway import services
 from navigation.gateway.choice import RequestError
 from navigation.gateway.services import VelocityCommander, YarpVelocity
@@ -25,7 +26,8 @@ class Base:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.clock, self.received, self.busy = Clock(), list[float](), False
         self.loop = Loop(self.clock)
-        publisher = SimpleNamespace(publish=lambda x, _y, _turn: self.received.append(x))
+        self.fails = False  # whether publishing fails
+        publisher = SimpleNamespace(publish=self._publish)
         monkeypatch.setattr(services, "velocity_publisher", lambda *_: publisher)
         monkeypatch.setattr(services, "time", self.clock)
         self.drivers = dict[str, str]()  # other persons by zid; that of the gateway is "5"
@@ -36,6 +38,11 @@ class Base:
             loop=self.loop, name="gateway", node=SimpleNamespace(hub=hub), log=logging.getLogger("gateway")
         )
         self.commander = VelocityCommander(host, "/cmd_vel", lambda: self.busy)
+
+    def _publish(self, x: float, _y: float, _turn: float) -> None:
+        if self.fails:
+            raise HubClosedError("this node of the hub is closed")
+        self.received.append(x)
 
     def _announce(self, _topic: str, who: str) -> Callable[[], None]:
         self.announced = who
@@ -143,3 +150,35 @@ def test_of_two_that_begin_at_once_the_one_with_the_lower_zid_drives(base: Base,
     assert driven == ([0.0] if yields else [0.3] * len(driven))
     assert (base.announced is None) is yields
     assert base.after(5.0).count(0.0) == (0 if yields else 1), "zeros would slow the person"
+
+
+def test_a_command_that_cannot_be_published_ends_with_its_time(base: Base) -> None:
+    base.fails = True
+    with pytest.raises(HubClosedError):
+        base.commander.command(DRIVE, 0.2)
+    base.fails = False
+    base.after(5.0)
+    assert (base.announced, base.commander.last) == (None, None)
+    assert base.received[-ZEROS:] == [0.0] * ZEROS
+
+
+def test_a_stop_that_cannot_be_published_lets_others_drive(base: Base) -> None:
+    base.commander.command(DRIVE, 1.0)
+    base.fails = True
+    with pytest.raises(HubClosedError):
+        base.commander.stop()
+    assert base.announced is None
+    base.fails = False
+    base.after(5.0)
+    assert base.received[1:] == [0.0] * (ZEROS - 1), "the timer repeats zero"
+
+
+def test_the_end_is_reported_although_the_stop_cannot_be_published(base: Base) -> None:
+    ended: list[bool] = []
+    base.commander.command(DRIVE, 1.0)
+    base.fails = True
+    with pytest.raises(HubClosedError):
+        base.commander.end(lambda: ended.append(True))
+    base.fails = False
+    base.after(5.0)
+    assert ended == [True]
