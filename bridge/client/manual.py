@@ -14,9 +14,9 @@ _MOST_NAME = 200
 class ManualControl:
     """The right of one program to publish velocities for a person: the console, the Foxglove server or `teleop`.
 
-    The program announces the person on the hub while the person drives. zenoh withdraws the announcement when the
-    program exits, or a few seconds after its process or its machine hangs. If two persons begin at the same moment, the
-    program with the lower zid has precedence. Use it on one thread.
+    The program announces the person on the hub while the person drives. The announcement ends at the latest when the
+    node is closed, when the program exits, or a few seconds after its process or its machine hangs. If two persons
+    begin at the same moment, the program with the lower zid has precedence. Use it on one thread.
     """
 
     def __init__(self, hub: Hub, topic: str) -> None:
@@ -37,7 +37,7 @@ class ManualControl:
     def begin(self, who: str) -> None:
         """Announce that ``who`` drives, until `end`."""
         if not self.held:
-            self._withdraw = self._hub.graph.announce_driver(self._topic, who[:_MOST_NAME])
+            self._withdraw = self._hub.announce_driver(self._topic, who[:_MOST_NAME])
 
     def end(self) -> None:
         """Let others drive. Safe to call twice."""

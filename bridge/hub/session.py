@@ -247,6 +247,7 @@ class Hub:
         self._own: set[bytes] = set()
         self._spaces: list[KeySpace] = []
         self._origin: tuple[Origin, Callable[[], None]] | None = None
+        self._drivers: dict[str, Callable[[], None]] = {}  # by topic, the latest announcement
         self._node = NodeToken(settings.domain, self.zid, str(next(session.ids)), settings.namespace, settings.node)
         self._control = Control(self._session, settings.domain, settings.daemon, settings.worker, settings.identity)
         executor = SerialExecutor("hub-executor")
@@ -286,10 +287,16 @@ class Hub:
             if origin is None:
                 self._origin = None
             else:
-                key = origin_key(OriginToken(self.domain, self.zid, origin))
-                self._origin = (origin, self.graph.announce(key))
+                self._origin = (origin, self.graph.announce(origin_key(OriginToken(self.domain, self.zid, origin))))
             if before is not None:
                 before[1]()
+
+    def announce_driver(self, topic: str, who: str) -> Callable[[], None]:
+        """Announce that ``who`` drives manually, until the returned function is called or the node is closed."""
+        with self._lock:
+            self._check_open()
+            self._drivers[topic] = self.graph.announce_driver(topic, who)
+            return self._drivers[topic]
 
     @property
     def versions(self) -> TypeVersions:
@@ -452,7 +459,8 @@ class Hub:
         self._context.asking.close()
         self._context.delays.close(1.0)
         self._control.close()
-        self._withdraw()
+        for withdraw in (*self._drivers.values(), self._withdraw):
+            withdraw()
         self._joined.nodes.discard(self)
         if not self._joined.shared:
             self._joined.close()

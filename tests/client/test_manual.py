@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from bridge.client.manual import ManualControl
-from bridge.hub.session import Hub
+from bridge.hub.session import Hub, HubSession
 from tests.peers.hub.quick import QuickHub
 from tests.peers.hub.rig import HubRig
 from tests.support.wait import until
@@ -50,3 +51,30 @@ def test_one_of_two_that_begin_together_has_precedence(network: QuickHub) -> Non
         assert first.rival() == ""
         last.end()
         until(lambda: last.rival() == f"{min(controls)} drives manually", "it is refused from then on")
+
+
+def test_control_is_free_when_the_node_of_a_shared_session_is_closed(network: QuickHub) -> None:
+    session = HubSession.open(network.settings("modules"), shared=True)
+    with Hub.open(network.settings("one")) as one, contextlib.closing(session):
+        other = ManualControl(one, TOPIC)
+        for _ in range(2):
+            node = Hub.on(session, "gateway", "gateway")
+            control = ManualControl(node, TOPIC)
+            control.begin("a YARP client")
+            until(other.rival, "the other program knows the driver")
+            node.close()
+            until(lambda: not other.rival(), "control is free although the driver has not ended it")
+
+
+def test_a_late_end_does_not_withdraw_the_successors_announcement(network: QuickHub) -> None:
+    session = HubSession.open(network.settings("modules"), shared=True)
+    with Hub.open(network.settings("one")) as one, contextlib.closing(session):
+        first, second = (Hub.on(session, "gateway", "gateway") for _ in range(2))
+        late, successor = ManualControl(first, TOPIC), ManualControl(second, TOPIC)
+        late.begin("a YARP client")
+        first.close()
+        successor.begin("a YARP client")
+        late.end()
+        ManualControl(second, "/later").begin("a YARP client")
+        until(ManualControl(one, "/later").rival, "the other program has received what came before")
+        assert ManualControl(one, TOPIC).rival()

@@ -97,10 +97,9 @@ def test_a_velocity_whose_client_timed_out_is_not_published(
 ) -> None:
     loop, resume = held
     out = MagicMock()
-    graph = SimpleNamespace(
-        subscriptions=lambda _topic: [], velocities=list, drivers=lambda _topic: {}, announce_driver=MagicMock()
-    )
-    node = SimpleNamespace(publisher=lambda *_args, **_options: out, hub=SimpleNamespace(graph=graph, zid="1"))
+    graph = SimpleNamespace(subscriptions=lambda _topic: [], velocities=list, drivers=lambda _topic: {})
+    hub = SimpleNamespace(graph=graph, zid="1", announce_driver=MagicMock())
+    node = SimpleNamespace(publisher=lambda *_args, **_options: out, hub=hub)
     host: Any = SimpleNamespace(name="gateway", loop=loop, log=MagicMock(), node=node, config=Config(), clock=SYSTEM)
     commander = VelocityCommander(host, "/cmd_vel", lambda: False)
     device = gateway.GatewayDevice(host, MagicMock(has_base=False), MagicMock(), commander, MagicMock())

@@ -205,8 +205,8 @@ class HubGraph:
             return [endpoint for endpoint in self._table.endpoints(topic) if endpoint.kind is kind]
 
     def announce(self, key: str) -> Callable[[], None]:
-        """Declare a token of this session, which exists until the returned function is called."""
-        self._own[key] = self._liveliness.declare_token(key)
+        """Declare a token of this session, which exists until the returned function is called; it is safe to repeat."""
+        token = self._own[key] = self._liveliness.declare_token(key)
         # not read back from zenoh, which drops a client's tokens when it loses its router
         with self._lock:
             changed = self._put_token(key)
@@ -214,10 +214,11 @@ class HubGraph:
 
         def withdraw() -> None:
             with self._lock:
+                if self._own.get(key) is not token:  # withdrawn before; it may have been announced again
+                    return
                 changed = self._delete_token(key)
-                token = self._own.pop(key, None)
-            if token is not None:
-                undeclare(token)
+                del self._own[key]
+            undeclare(token)
             self._notify(changed)
 
         return withdraw

@@ -32,8 +32,8 @@ class Base:
         monkeypatch.setattr(services, "time", self.clock)
         self.drivers = dict[str, str]()  # other persons by zid; that of the gateway is "5"
         self.announced: str | None = None
-        graph = SimpleNamespace(drivers=lambda _topic: self.drivers, announce_driver=self._announce)
-        hub = SimpleNamespace(graph=graph, zid="5")
+        graph = SimpleNamespace(drivers=lambda _topic: self.drivers)
+        hub = SimpleNamespace(graph=graph, zid="5", announce_driver=self._announce)
         host: Any = SimpleNamespace(
             loop=self.loop, name="gateway", node=SimpleNamespace(hub=hub), log=logging.getLogger("gateway")
         )
