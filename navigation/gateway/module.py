@@ -103,7 +103,7 @@ class GatewayModule(Module):
         return {"halted": True}
 
     def _begin_stop(self) -> StopAnswer:
-        self._commander.stop()
+        self._commander.stop_client()
         self.gateway.stop()
         answer = StopAnswer()
         self.gateway.when_confirmed(answer.put)

@@ -34,6 +34,10 @@ CLIENT = "a YARP client"
 LONGEST_SECONDS = 1.0
 """Maximum duration of a velocity command; clients repeat their command to keep driving."""
 
+_PAUSE_SECONDS = 0.3
+_STOPPED = f"the robot was stopped; first send no velocity for the command's time-out, at least {_PAUSE_SECONDS:g} s"
+
+_LOG_SECONDS = 5.0  # a refusal is logged again if the one before it was earlier
 _PERIOD = 0.05  # seconds between two messages of a command
 _ZEROS = round(STOP_SECONDS / _PERIOD)  # after a velocity
 
@@ -61,8 +65,11 @@ class VelocityCommander:
         self._host, self._busy = host, busy
         self._publisher = velocity_publisher(host, topic)
         self._control = ManualControl(host.node.hub, topic)
-        self._rival = ""  # who drove manually instead, at the last command
+        self._refused, self._refused_at = "", -math.inf  # the reason for the last refusal, and its time
         self._velocity, self._until = YarpVelocity(), 0.0
+        self._override = False  # whether the zeros of `halt` are being published
+        self._stopped = False  # whether a client that drives has to pause
+        self._drives_until = 0.0  # when the client has paused, unless it sends another velocity before
         self._zeros = 0  # still to be published; not a time, because this process may be starved
         self._timer: Timer | None = None
         self._ended: Callable[[], None] | None = None
@@ -73,26 +80,45 @@ class VelocityCommander:
         """The current command; None when its time is over."""
         return self._velocity if time.monotonic() <= self._until else None
 
-    def command(self, velocity: YarpVelocity, seconds: float) -> None:
+    def command(self, velocity: YarpVelocity, seconds: float, *, planner_drives: bool = False) -> None:
         """Command a velocity for this time, at most `LONGEST_SECONDS`.
 
-        Raises `RequestError` after `end`, and while another person drives manually.
+        Raises `RequestError` after `end`, after `stop_client` until the client has paused, and while the planner drives
+        or another person drives manually.
         """
         if self._ending:
             raise RequestError("the gateway is shutting down")
-        before, self._rival = self._rival, self._control.rival()
-        if self._rival:
-            if self._rival != before:  # YARP's reply cannot contain it
-                self._host.log.warning("a velocity of %s is refused: %s", CLIENT, self._rival)
-            raise RequestError(self._rival)
+        reason = self._stop_holds(velocity, seconds) or ("" if planner_drives else self._control.rival())
+        if reason:
+            self._log_refusal(reason)
+            raise RequestError(reason)
+        if planner_drives:
+            raise RequestError("the planner drives; stop or suspend it first")
         self._begin(velocity, seconds)
 
-    def _begin(self, velocity: YarpVelocity, seconds: float) -> None:
+    def _stop_holds(self, velocity: YarpVelocity, seconds: float) -> str:
+        """Return why the client may not drive yet; "" if it may. Zeros count as a pause."""
+        if not any(velocity):
+            return ""
+        now = time.monotonic()
+        self._stopped = self._stopped and now <= self._drives_until
+        self._drives_until = now + max(_limited(seconds), _PAUSE_SECONDS)
+        return _STOPPED if self._stopped else ""
+
+    def _log_refusal(self, reason: str) -> None:
+        """Log a refusal, because YARP's reply cannot contain the reason; not again while the client repeats itself."""
+        now = time.monotonic()
+        if reason != self._refused or now - self._refused_at > _LOG_SECONDS:
+            self._host.log.warning("a velocity of %s is refused: %s", CLIENT, reason)
+        self._refused, self._refused_at = reason, now
+
+    def _begin(self, velocity: YarpVelocity, seconds: float, *, override: bool = False) -> None:
         if any(velocity):
             self._control.begin(f"{CLIENT} ({self._host.name})")
         else:
             self._control.end()
-        self._velocity, self._until = velocity, time.monotonic() + min(max(seconds, 0.0), LONGEST_SECONDS)
+        self._velocity, self._until = velocity, time.monotonic() + _limited(seconds)
+        self._override = override
         if self._timer is None:
             self._timer = self._host.loop.every(_PERIOD, self._repeat)
         self._send(velocity)
@@ -106,6 +132,11 @@ class VelocityCommander:
             finally:
                 self._control.end()
 
+    def stop_client(self) -> None:
+        """Stop for a person: a client that repeats its velocity must pause before it drives again."""
+        self._stopped = True
+        self.stop()
+
     def end(self, done: Callable[[], None]) -> None:
         """Stop, accept no further commands of clients, and call ``done`` after the last zero."""
         self._ending = True
@@ -117,10 +148,10 @@ class VelocityCommander:
 
     def halt(self) -> None:
         """Command zero for `OVERRIDE_SECONDS`, to override any other source of velocities."""
-        self._begin(YarpVelocity(), OVERRIDE_SECONDS)
+        self._begin(YarpVelocity(), OVERRIDE_SECONDS, override=True)
 
     def _repeat(self) -> None:
-        if self.last is not None and not (self._control.held and self._control.rival()):
+        if self.last is not None and (self._override or not self._control.rival()):
             self._send(self._velocity)
         elif self._until:
             self.stop()
@@ -140,6 +171,10 @@ class VelocityCommander:
     def _send(self, velocity: YarpVelocity) -> None:
         self._zeros = _ZEROS if any(velocity) else max(0, self._zeros - 1)
         self._publisher.publish(velocity.x, velocity.y, math.radians(velocity.turn))
+
+
+def _limited(seconds: float) -> float:
+    return min(max(seconds, 0.0), LONGEST_SECONDS)
 
 
 TRIGGER, NAMED = "std_srvs/srv/Trigger", "midspan_msgs/srv/Named"
@@ -163,7 +198,7 @@ class HubServices:
         node.server("/navigation/get_location", GET_LOCATION, self._locate)
 
     def _stop(self, _request: dict[str, Any], answer: Answer) -> None:
-        self._commander.stop()
+        self._commander.stop_client()
         self._answer_when_confirmed(self._gateway.stop(), answer)
 
     def _pause(self, _request: dict[str, Any], answer: Answer) -> None:
@@ -280,9 +315,8 @@ class GatewayDevice(NavigationDevice):
 
     def applyVelocityCommand(self, x_vel: float, y_vel: float, theta_vel: float, timeout: float) -> None:
         def command() -> None:
-            if self._gateway.has_base:
-                raise RequestError("the planner drives; stop or suspend it first")
-            self._commander.command(YarpVelocity(x_vel, y_vel, theta_vel), timeout)
+            velocity = YarpVelocity(x_vel, y_vel, theta_vel)
+            self._commander.command(velocity, timeout, planner_drives=self._gateway.has_base)
 
         self._move(command, _FRESH_SECONDS)
 

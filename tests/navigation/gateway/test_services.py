@@ -182,3 +182,78 @@ def test_the_end_is_reported_although_the_stop_cannot_be_published(base: Base) -
     base.fails = False
     base.after(5.0)
     assert ended == [True]
+
+
+def test_a_stopped_client_drives_again_only_after_a_pause(base: Base, caplog: pytest.LogCaptureFixture) -> None:
+    base.commander.command(DRIVE, 0.2)
+    base.commander.stop_client()
+    for seconds in (0.2, 0.2, 0.2, 0.2, 0.2, 1.0):
+        base.after(0.1)
+        with pytest.raises(RequestError, match="the robot was stopped; first send no velocity"):
+            base.commander.command(DRIVE, seconds)
+    assert (base.received.count(0.3), base.announced) == (1, None)
+    assert len(caplog.records) == 1
+    base.after(0.9)
+    with pytest.raises(RequestError, match="the robot was stopped"):
+        base.commander.command(DRIVE, 0.2)  # a client that drives on repeats its velocity before its time is over
+    base.after(0.2)
+    base.commander.command(YarpVelocity(), 0.2)  # zeros of a joystick count as a pause
+    base.after(0.2)
+    base.commander.command(DRIVE, 0.2)
+    assert base.received[-1] == 0.3
+
+
+def test_a_client_that_is_refused_because_the_planner_drives_does_not_pause(base: Base) -> None:
+    base.commander.command(DRIVE, 0.2)
+    base.commander.stop_client()
+    for _ in range(10):  # the planner has the base until the stop is confirmed
+        base.after(0.1)
+        with pytest.raises(RequestError):
+            base.commander.command(DRIVE, 0.2, planner_drives=True)
+    base.after(0.1)
+    with pytest.raises(RequestError, match="the robot was stopped"):
+        base.commander.command(DRIVE, 0.2)
+
+
+@pytest.mark.parametrize("end", ["stop", "its own zero", "its time", "nothing"])
+def test_without_a_stop_of_a_person_a_client_may_drive_at_once(base: Base, end: str) -> None:
+    base.commander.command(DRIVE, 0.2)
+    if end == "stop":  # because the planner drove
+        base.commander.stop()
+    elif end == "its own zero":
+        base.commander.command(YarpVelocity(), 0.2)
+    elif end == "its time":
+        base.after(0.25)
+    base.commander.command(DRIVE, 0.2)
+    assert base.received[-1] == 0.3
+
+
+def test_a_client_that_did_not_drive_at_the_stop_may_drive_at_once(base: Base) -> None:
+    base.commander.command(DRIVE, 0.2)
+    base.after(2.0)
+    base.commander.stop_client()
+    base.commander.command(DRIVE, 0.2)
+    assert base.received[-1] == 0.3
+
+
+def test_a_clients_zero_ends_when_a_person_drives(base: Base) -> None:
+    base.commander.command(DRIVE, 0.2)
+    base.commander.command(YarpVelocity(), 1.0)
+    base.after(0.1)
+    base.drivers["7"] = "anna (web)"
+    assert len(base.after(5.0)) <= 1
+
+
+def test_the_zeros_of_a_halt_override_a_person(base: Base) -> None:
+    base.commander.halt()
+    base.drivers["7"] = "anna (web)"
+    assert base.after(0.9 * services.OVERRIDE_SECONDS).count(0.0) > 10
+
+
+def test_a_refusal_is_logged_again_for_the_next_drive(base: Base, caplog: pytest.LogCaptureFixture) -> None:
+    base.drivers["7"] = "anna (web)"
+    for pause in (0.1, 0.1, 0.1, 60.0, 0.1):
+        with pytest.raises(RequestError):
+            base.commander.command(DRIVE, 0.2)
+        base.after(pause)
+    assert len(caplog.records) == 2

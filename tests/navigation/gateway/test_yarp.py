@@ -32,6 +32,8 @@ from yarp_compat.naming import connections
 from yarp_compat.pythonic import Reader
 
 TF = "tf2_msgs/msg/TFMessage"
+PAUSE = 2 * services._PAUSE_SECONDS
+"""Seconds between two velocities of a client that may have been stopped while it drove, for example by `Rig.fresh`."""
 
 
 @pytest.fixture(scope="module")
@@ -219,7 +221,7 @@ def test_velocities_have_the_form_of_the_base(base: HubNode, yarp: INavigation2D
         yarp.apply_velocity_command_RPC(0.2, 0.0, 90.0, 0.2)
         return next((velocity for velocity in velocities if velocity["twist"]["linear"]["x"]), None)
 
-    velocity = until(commanded, "a velocity is published", 20)
+    velocity = until(commanded, "a velocity is published", 20, PAUSE)
     assert (velocity["header"]["frame_id"], velocity["twist"]["linear"]["x"]) == ("base_link", 0.2)
     assert velocity["header"]["stamp"]["sec"]
     until(lambda: velocities[-1]["twist"]["linear"]["x"] == 0.0, "the command has expired", 20)
@@ -237,6 +239,7 @@ def test_velocities_are_commanded_while_no_goal_is_active(
         lambda: yarp.apply_velocity_command_RPC(0.2, 0.0, 90.0, 0.2) and given in velocities,
         "the velocity is published",
         20,
+        PAUSE,
     )
     until(lambda: velocities[-1] == (0.0, 0.0), "the command has expired", 20)
     until(lambda: not yarp.get_last_velocity_command_RPC()[0], "no command is active", 20)
@@ -246,6 +249,8 @@ def test_velocities_are_commanded_while_no_goal_is_active(
     assert rig.ask("stop")["success"]
     assert not yarp.get_last_velocity_command_RPC()[0]
     until(lambda: velocities[-1] == (0.0, 0.0), "the base stops", 20)
+    assert not yarp.apply_velocity_command_RPC(0.3, 0.0, 90.0, 0.2)
+    until(lambda: yarp.apply_velocity_command_RPC(0.3, 0.0, 90.0, 0.2), "it drives after a pause", 20, PAUSE)
     until(lambda: yarp.apply_velocity_command_RPC(0.3, 0.0, 90.0, 600.0), "the command is accepted", 20)
     until(lambda: velocities[-1][0] == 0.3, "the command is published", 20)
     assert yarp.goto_target_by_absolute_location_RPC(Map2DLocation("house", 3.0, 1.0, 0.0))
@@ -254,3 +259,23 @@ def test_velocities_are_commanded_while_no_goal_is_active(
     until(lambda: velocities[-1] == (0.0, 0.0), "only the planner commands the base", 20)
     assert not yarp.get_last_velocity_command_RPC()[0]
     assert not yarp.apply_velocity_command_RPC(0.2, 0.0, 0.0, 0.2)
+
+
+@pytest.mark.parametrize("how", ["nav stop", "halt", "stopNavigation"])
+def test_a_client_that_repeats_its_velocity_does_not_drive_after_a_stop(
+    rig: Rig, yarp: INavigation2DMsgs, monkeypatch: pytest.MonkeyPatch, how: str
+) -> None:
+    until(lambda: yarp.apply_velocity_command_RPC(0.2, 0.0, 0.0, 0.2), "the client drives", 20, PAUSE)
+    monkeypatch.setattr(services, "LONGEST_SECONDS", 600.0)  # on a busy machine, a second passes between two commands
+    until(lambda: yarp.apply_velocity_command_RPC(0.2, 0.0, 0.0, 600.0), "the client drives on", 20)
+    if how == "nav stop":
+        rig.ask("stop")
+    elif how == "halt":
+        rig.far.hub.ask("halt", {}, worker="gateway", timeout=20.0)
+    else:
+        yarp.stop_navigation_RPC()
+    for _ in range(3):
+        assert not yarp.apply_velocity_command_RPC(0.2, 0.0, 0.0, 600.0)
+    assert not yarp.get_last_velocity_command_RPC()[0]
+    assert not yarp.apply_velocity_command_RPC(0.2, 0.0, 0.0, 0.0)
+    until(lambda: yarp.apply_velocity_command_RPC(0.2, 0.0, 0.0, 0.0), "it drives after a pause", 20, PAUSE)
