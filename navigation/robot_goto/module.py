@@ -381,7 +381,7 @@ class RobotGoto(PlannerModule):
 
     @override
     def stop(self) -> None:
-        if not self._stopping:  # its thread was busy
+        if not self.driver.silent:  # the thread was busy, or `begin_stop` has failed
             self._abort("RobotGoto has stopped")
         self._hold.close()
         if self._map is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -50,3 +51,22 @@ def test_a_goal_is_refused_while_the_module_stops(place: Goto) -> None:
 def test_a_module_that_does_not_drive_stops_without_a_command(place: Goto) -> None:
     place.worker.stop()
     assert place.robot.commands == []
+
+
+def test_the_goal_ends_although_the_begin_of_the_stop_fails(place: Goto, monkeypatch: pytest.MonkeyPatch) -> None:
+    robot, module = place.robot, place.module
+    abort, failed = module._abort, list[str]()
+
+    def fail_once(reason: str, *more: Any) -> None:
+        if not failed:
+            failed.append(reason)
+            raise RuntimeError("the test's error")
+        abort(reason, *more)
+
+    sent = robot.send(2.0, 0.0, 0.0, SLOW)
+    until(lambda: robot.x > 0.05, "the robot drives", 30)
+    monkeypatch.setattr(module, "_abort", fail_once)
+    place.worker.stop()
+    status, result = sent.end()
+    assert (status, result["error_msg"]) == (GoalState.ABORTED, "RobotGoto has stopped")
+    assert (failed, robot.commands[-1]) == (["RobotGoto has stopped"], STILL)
