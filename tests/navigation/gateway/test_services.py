@@ -14,6 +14,7 @@ from bridge.hub.errors import HubClosedError
 from navigation.gateway import services
 from navigation.gateway.choice import RequestError
 from navigation.gateway.services import VelocityCommander, YarpVelocity
+from navigation.gateway.stop import OVERRIDE_SECONDS
 from tests.peers.navigation.simulated_hub import Clock, Loop
 
 DRIVE = YarpVelocity(0.3, 0.0, 0.0)
@@ -247,7 +248,7 @@ def test_a_clients_zero_ends_when_a_person_drives(base: Base) -> None:
 def test_the_zeros_of_a_halt_override_a_person(base: Base) -> None:
     base.commander.halt()
     base.drivers["7"] = "anna (web)"
-    assert base.after(0.9 * services.OVERRIDE_SECONDS).count(0.0) > 10
+    assert base.after(0.9 * OVERRIDE_SECONDS).count(0.0) > 10
 
 
 def test_a_refusal_is_logged_again_for_the_next_drive(base: Base, caplog: pytest.LogCaptureFixture) -> None:
