@@ -124,13 +124,14 @@ class VelocityCommander:
         self._send(velocity)
 
     def stop(self) -> None:
-        """End the command; a base that followed the command stops."""
+        """End the command; a base that followed the command stops. Raises nothing: the caller stops the goals, too."""
         if self._until:
             self._until = 0.0
             try:
                 self._send(YarpVelocity())
-            finally:
-                self._control.end()
+            except Exception:
+                self._host.log.exception("zero velocity could not be published; it is repeated")
+            self._control.end()
 
     def stop_client(self) -> None:
         """Stop for a person: a client that repeats its velocity must pause before it drives again."""

@@ -163,11 +163,12 @@ def test_a_command_that_cannot_be_published_ends_with_its_time(base: Base) -> No
     assert base.received[-ZEROS:] == [0.0] * ZEROS
 
 
-def test_a_stop_that_cannot_be_published_lets_others_drive(base: Base) -> None:
+def test_a_stop_that_cannot_be_published_lets_others_drive(base: Base, caplog: pytest.LogCaptureFixture) -> None:
+    """It raises nothing, because its caller stops the goals, too."""
     base.commander.command(DRIVE, 1.0)
     base.fails = True
-    with pytest.raises(HubClosedError):
-        base.commander.stop()
+    base.commander.stop()
+    assert "zero velocity could not be published" in caplog.text
     assert base.announced is None
     base.fails = False
     base.after(5.0)
@@ -178,8 +179,7 @@ def test_the_end_is_reported_although_the_stop_cannot_be_published(base: Base) -
     ended: list[bool] = []
     base.commander.command(DRIVE, 1.0)
     base.fails = True
-    with pytest.raises(HubClosedError):
-        base.commander.end(lambda: ended.append(True))
+    base.commander.end(lambda: ended.append(True))
     base.fails = False
     base.after(5.0)
     assert ended == [True]
