@@ -17,6 +17,7 @@ from bridge.client.session import DOWN, HELD, Client, connect, unreachable_hint
 from bridge.config.document import ConfigError
 from bridge.config.load import find, load
 from bridge.config.model import Config
+from bridge.config.partial import load_partly
 from bridge.daemon import units
 from bridge.doctor.daemon_state import DaemonState, Life, daemon_state, describe, unresponsive_router
 from bridge.state_file import named
@@ -42,20 +43,24 @@ def config_file(args: argparse.Namespace) -> Path | None:
     return file
 
 
-def client_config(args: argparse.Namespace) -> Config:
+def client_config(args: argparse.Namespace, *, stops: bool = False) -> Config:
     """Return the configuration, overridden by the command line.
 
-    A broken file that the command line does not name is ignored, with a warning, if ``--router`` names the hub.
+    A broken file that the command line does not name is ignored, with a warning, if ``--router`` names the hub. A
+    command that ``stops`` the robot uses the valid parts of any broken file, because the daemon may run regardless.
     """
     try:
         config = named(load(args.config), os.environ, units.STATE)
     except ConfigError as err:
-        if args.config is not None or args.router is None:
+        file = config_file(args)
+        if stops and file is not None and file.exists():
+            config, how = named(load_partly(file), os.environ, units.STATE), "the rest of the file is used"
+        elif args.config is None and args.router is not None:
+            config, how = Config(), "the file is ignored, because --router names the hub"
+        else:
             raise
         more = f" (and {len(err.problems) - 1} more)" if len(err.problems) > 1 else ""
-        ignored = "the file is ignored, because --router names the hub"
-        print(f"midspan: warning: {err.problems[0]}{more}; {ignored}", file=sys.stderr)
-        config = Config()
+        print(f"midspan: warning: {err.problems[0]}{more}; {how}", file=sys.stderr)
     hub = config.hub
     if args.router is not None:
         hub = hub.model_copy(update={"listen": args.router})
@@ -65,15 +70,17 @@ def client_config(args: argparse.Namespace) -> Config:
 
 
 @contextmanager
-def open_client(args: argparse.Namespace, *, warn: bool = True, watches: bool = False) -> Iterator[CliClient]:
+def open_client(
+    args: argparse.Namespace, *, warn: bool = True, watches: bool = False, stops: bool = False
+) -> Iterator[CliClient]:
     """Join the hub; raises `CliError` if no router answers.
 
     On the hub of this machine's daemon, it reports on stderr if only the daemon's router runs, and each error names the
     daemon's workers that do not run. ``warn`` is False for commands that report the daemon themselves, or have
     something more urgent to do. ``watches`` reports missing workers at once, for commands that would otherwise only
-    wait or print less.
+    wait or print less. ``stops``: see `client_config`.
     """
-    config = client_config(args)
+    config = client_config(args, stops=stops)
     with _join_hub(args, config) as session:
         client = CliClient(session.hub, session.config, session.where, of_this_machine(args), config_file(args))
         reported = warn_of_daemon(args, config, workers=watches) if warn else []

@@ -46,15 +46,16 @@ def find(environ: Mapping[str, str] = os.environ) -> Path | None:
 def load(path: Path | None = None) -> Config:
     """Load a file, by default the one that `find` finds; raises `ConfigError` with all its problems."""
     file = path if path is not None else find()
-    return Config() if file is None else _config(read(file))
+    return Config() if file is None else from_document(read(file))
 
 
 def loads(text: str, file: Path = Path("<text>")) -> Config:
     """Load a text as if it were the file ``file``; see `load`."""
-    return _config(parse(file, text))
+    return from_document(parse(file, text))
 
 
-def _config(document: Document) -> Config:
+def from_document(document: Document) -> Config:
+    """Return the configuration in a document; see `load`."""
     data = {} if document.data is None else document.data
     if not isinstance(data, dict):
         raise ConfigError([document.problem((), "must be a map of sections, for example 'hub:'")])

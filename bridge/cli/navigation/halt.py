@@ -33,7 +33,7 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Halt everything; return 1 if something did not answer."""
-    with open_client(args, warn=False) as client:
+    with open_client(args, warn=False, stops=True) as client:
         client.settle()
         result = halt(client, Types(client), args.seconds)
         refused = warn_of_refusals(client, result.published)

@@ -47,7 +47,8 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    with open_client(args, warn=args.nav_verb != "stop") as client:
+    stops = args.nav_verb in ("stop", "pause")
+    with open_client(args, warn=args.nav_verb != "stop", stops=stops) as client:
         types = Types(client)
         if args.nav_verb == "status":
             return _status(client, types, args)

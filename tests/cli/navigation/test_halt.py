@@ -103,6 +103,19 @@ def test_halt_stops_everything(midspan: Midspan, network: HubNetwork, robot: Rob
     assert all(message["linear"]["x"] == message["angular"]["z"] == 0.0 for message in robot.received)
 
 
+@pytest.mark.parametrize("text", ["logg: {level: info}\n", "routing: {rules: [\n", "zenoh: {zenoh: /no/such/file}\n"])
+def test_halt_does_not_depend_on_what_was_written_into_the_file_since(
+    midspan: Midspan, robot: Robot, text: str
+) -> None:
+    """The daemon keeps its valid configuration."""
+    midspan.config.write_text(yaml.safe_dump(yaml.safe_load(midspan.config.read_text())) + text)
+    done = midspan("halt", "--seconds", "0.1")
+    assert done.code == 0, done
+    assert "/lookup: 2 goals canceled" in done.out
+    assert done.err.endswith("; the rest of the file is used\n")
+    assert midspan("nav", "status").code == 1, "only commands that stop the robot do so"
+
+
 def test_halt_reports_what_does_not_stop(
     midspan: Midspan, network: HubNetwork, robot: Robot, closing: list[Any]
 ) -> None:
