@@ -37,6 +37,9 @@ _DEEPEST = 100
 _LEGACY: tuple[KeyPath, ...] = (("routing", "peer"), ("routing", "router", "peers_failover_brokering"))
 """Keys of zenoh before 1.10 that the parser still accepts but ignores; files for rmw_zenoh contain them."""
 
+_MAX_SESSIONS: KeyPath = ("transport", "unicast", "max_sessions")
+_PROTOCOLS: KeyPath = ("transport", "link", "protocols")
+
 _FILES = re.compile(r"(?:_certificate|_private_key|_file)$")
 
 
@@ -130,6 +133,7 @@ def _of_tree(tree: Any, section: KeyPath, config: Config) -> list[_Flaw]:
     flaws += _missing_files(tree)
     flaws += [] if flaws else _bad_dictionary(tree)
     flaws += [] if flaws else _bad_references(tree)
+    flaws += [] if flaws else _unusable(tree, section, config)
     if section == _DIALECTS and not flaws:
         flaws += _shared_listeners(tree, len(config.zenoh.dialects))
         flaws += _without_router(tree) if config.zenoh.router is None else ()
@@ -138,6 +142,27 @@ def _of_tree(tree: Any, section: KeyPath, config: Config) -> list[_Flaw]:
     if section == ("hub", "zenoh") and tree.get("id"):
         flaws.append((("id",), "all sessions would have this id, and only one could join; leave it out"))
     return flaws[:_MOST]
+
+
+def _found(tree: Any, path: KeyPath) -> Any:
+    """Return the value at a path, None if there is none."""
+    for part in path:
+        tree = tree.get(part) if isinstance(tree, dict) else None
+    return tree
+
+
+def _unusable(tree: Tree, section: KeyPath, config: Config) -> Iterator[_Flaw]:
+    """Yield settings that zenoh accepts, but with which nothing would join, or nothing would be found."""
+    for path, what in ((("transport", "link", "tx", "batch_size"), "message"), (_MAX_SESSIONS, "link")):
+        if _found(tree, path) == 0:
+            yield path, f"0 permits no {what}; leave it out"
+    if section not in (("hub", "zenoh"), _LOCAL):
+        return
+    if tree.get("namespace"):
+        yield ("namespace",), "workers and commands would not find each other; 'hub.domain' separates hubs"
+    protocols, listens = _found(tree, _PROTOCOLS), config.hub.listen.partition("/")[0]
+    if protocols and listens not in protocols:
+        yield _PROTOCOLS, f"must contain {listens!r}, the protocol of 'hub.listen'"
 
 
 # -- zenoh's parser ----------------------------------------------------------------------------------------------------

@@ -71,6 +71,26 @@ def test_mistakes_that_zenohs_parser_refuses_are_located(text: str, lines: list[
     assert problems(text) == lines
 
 
+@pytest.mark.parametrize("section", ["zenoh", "router_zenoh"])
+@pytest.mark.parametrize(
+    ("settings", "place", "text"),
+    [
+        ("transport: {link: {tx: {batch_size: 0}}}", "transport.link.tx.batch_size", "0 permits no message; leave it out"),
+        ("transport: {unicast: {max_sessions: 0}}", "transport.unicast.max_sessions", "0 permits no link; leave it out"),
+        ("transport: {link: {protocols: [udp]}}", "transport.link.protocols", "must contain 'tcp', the protocol of 'hub.listen'"),
+        ("namespace: robot1", "namespace", "workers and commands would not find each other; 'hub.domain' separates hubs"),
+    ],
+)  # fmt: skip
+def test_settings_with_which_nothing_would_work_are_refused(section: str, settings: str, place: str, text: str) -> None:
+    (line,) = problems(f"hub: {{{section}: {{{settings}}}}}")
+    assert line.endswith(f": hub.{section}.{place}: {text}")
+
+
+def test_zenohs_link_protocols_may_contain_that_of_the_hub() -> None:
+    loads("hub: {zenoh: {transport: {link: {protocols: [tcp, udp]}}}}")
+    loads("hub: {listen: tls/127.0.0.1:7447, zenoh: {transport: {link: {protocols: [tls]}}}}")
+
+
 @pytest.mark.parametrize(
     ("text", "lines"),
     [
