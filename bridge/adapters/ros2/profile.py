@@ -22,10 +22,13 @@ Measured with Fast DDS 2.14.5, against nodes with its default settings:
 
 from __future__ import annotations
 
+import atexit
 import logging
 import os
 import socket
+import tempfile
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -37,7 +40,7 @@ from bridge.adapters.ros2.graph.origins import ALL_NUMBERS, new_prefix, particip
 from bridge.adapters.ros2.graph.spdp import MULTICAST, PARTICIPANTS
 from bridge.adapters.ros2.releases import current
 from bridge.config.model import Config
-from bridge.hub.shared_memory import room_trouble
+from bridge.hub.shared_memory import FOLDER, room_trouble
 from bridge.state_file import keep
 
 _log = logging.getLogger(__name__)
@@ -179,7 +182,11 @@ def _add_texts(parent: ET.Element, **texts: str) -> None:
 
 
 def use_profile(config: Config, state: Path) -> FastDdsProfile:
-    """Write this process's Fast DDS profile. Fast DDS reads it once, so later calls return the first profile."""
+    """Write this process's Fast DDS profile. Fast DDS reads it once, so later calls return the first profile.
+
+    Call `remove_temporary` after the first participant has been created. Raises `RuntimeError` if no folder can store
+    the profile: Midspan's own topics would loop through an unmarked participant.
+    """
     if _loaded:
         return _loaded[0]
     prefix = new_prefix(rcl.host_prefix(), stored_prefixes(state / "ros2"))
@@ -188,10 +195,8 @@ def use_profile(config: Config, state: Path) -> FastDdsProfile:
     profile = FastDdsProfile(prefix, _segment(config, state), local, peers)
     text = profile.xml() if custom is None else stamped(custom, profile.prefix)
     path = state / "ros2" / "fastdds.xml"
-    if not keep(path, text, "Fast DDS reads its profile from memory"):
-        file = os.memfd_create("midspan-fastdds")  # in memory, until this process exits
-        os.write(file, text.encode())
-        path = Path(f"/proc/{os.getpid()}/fd/{file}")  # not /proc/self: child processes read it too
+    if not keep(path, text, "trying another folder for the Fast DDS profile"):
+        path = _write_elsewhere(text, path.parent)
     for name in (*UNSET, "FASTRTPS_DEFAULT_PROFILES_FILE"):
         os.environ.pop(name, None)
     os.environ.update(SWITCHES[config.ros2.rmw] | dict.fromkeys(current().profile_variables, str(path)))
@@ -201,6 +206,54 @@ def use_profile(config: Config, state: Path) -> FastDdsProfile:
 
 _loaded: list[FastDdsProfile] = []
 """The profile that Fast DDS has loaded in this process."""
+
+_temporary: list[Path] = []
+"""The file of the profile outside of the state folder, until `remove_temporary`."""
+
+
+def _write_elsewhere(text: str, refused: Path) -> Path:
+    """Write the profile to the first usable folder outside of the state folder, which has ``refused`` it.
+
+    It must be a regular file: Fast DDS resolves links, and cannot open the target of a descriptor in ``/proc``.
+    """
+    failures = []
+    for folder in _other_folders():
+        try:
+            # readable only to this user, under a new name, since other users can write to some of these folders
+            file, name = tempfile.mkstemp(".xml", f"midspan-{os.getpid()}-", folder)
+            path = Path(name)
+            try:
+                with os.fdopen(file, "w", encoding="utf-8") as stream:
+                    stream.write(text)
+            except OSError:
+                path.unlink()
+                raise
+        except OSError as err:
+            failures.append(f"{folder}: {err.strerror}")
+            continue
+        _temporary.append(path)
+        atexit.register(remove_temporary)
+        return path
+    raise RuntimeError(
+        f"cannot write the Fast DDS profile to {refused} or another folder ({'; '.join(failures)});"
+        " free space in one of them, or set 'state' in the configuration to a writable folder"
+    )
+
+
+def _other_folders() -> Iterator[str]:
+    runtime = os.environ.get("XDG_RUNTIME_DIR", "")
+    if Path(runtime).is_absolute():
+        yield runtime
+    yield str(FOLDER)
+    with suppress(FileNotFoundError):  # no folder for temporary files is usable
+        yield tempfile.gettempdir()
+
+
+def remove_temporary() -> None:
+    """Remove the profile's file outside of the state folder, if there is one."""
+    while _temporary:
+        with suppress(OSError):
+            _temporary.pop().unlink()
 
 
 def _segment(config: Config, state: Path) -> int:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import re
+import stat
 import subprocess
 import sys
 from pathlib import Path
@@ -13,7 +15,7 @@ import pytest
 from bridge.adapters.ros2 import own_profile
 from bridge.adapters.ros2 import profile as profile_module
 from bridge.adapters.ros2.dds import fast
-from bridge.adapters.ros2.graph.origins import new_prefix
+from bridge.adapters.ros2.graph.origins import is_marked, new_prefix
 from bridge.adapters.ros2.profile import FastDdsProfile, stamped, use_profile
 from bridge.config.model import Config
 from tests.peers.ros2 import kilted
@@ -88,18 +90,79 @@ def test_an_unusable_custom_profile_is_rejected(tmp_path: Path, text: str, why: 
         stamped(custom, PREFIX)
 
 
-def test_child_processes_read_a_profile_that_could_not_be_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Without a writable state folder, the profile is in this process's memory."""
+@pytest.fixture
+def full_state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return a state folder that no process can create, in a process that has not loaded a profile."""
     monkeypatch.setattr(profile_module, "_loaded", [])
-    monkeypatch.setattr(profile_module, "keep", lambda *_arguments: False)
+    monkeypatch.setattr(profile_module, "_temporary", [])
     monkeypatch.setattr("bridge.adapters.ros2.rcl.host_prefix", lambda: b"\x01\x0f\x12\x34")
     monkeypatch.setattr(os, "environ", os.environ.copy())
-    profile = use_profile(Config.model_validate({"ros2": {"transport": "udp"}}), tmp_path)
-    code = "import os; print(open(os.environ['FASTRTPS_DEFAULT_PROFILES_FILE']).read())"
-    child = subprocess.run([sys.executable, "-c", code], env=os.environ, capture_output=True, text=True, timeout=60)
-    assert child.stdout.strip() == profile.xml(), child.stderr
+    (tmp_path / "file").touch()
+    return tmp_path / "file" / "state"
+
+
+UDP_ONLY = Config.model_validate({"ros2": {"transport": "udp"}})
+
+
+def test_a_profile_that_the_state_folder_refuses_is_a_regular_file_elsewhere(full_state: Path, tmp_path: Path) -> None:
+    os.environ["XDG_RUNTIME_DIR"] = str(tmp_path)
+    profile = use_profile(UDP_ONLY, full_state)
+    path = Path(os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"])
+    real = Path(os.path.realpath(path))  # Fast DDS opens this
+    assert real.is_file()
+    assert real.read_text(encoding="utf-8") == profile.xml()
+    assert stat.S_IMODE(real.stat().st_mode) == 0o600
+    assert (path.parent, path.name.split("-")[:2]) == (tmp_path, ["midspan", str(os.getpid())])
+    profile_module.remove_temporary()
+    assert [file.name for file in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_profile_is_written_to_the_first_usable_folder(
+    full_state: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(profile_module, "_other_folders", lambda: [str(full_state), str(tmp_path)])
+    use_profile(UDP_ONLY, full_state)
+    path = Path(os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"])
+    assert path.parent == tmp_path
+    profile_module.remove_temporary()
+
+
+def test_without_any_folder_for_the_profile_no_participant_is_created(
+    full_state: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(profile_module, "_other_folders", lambda: [str(full_state)])
+    monkeypatch.setattr(fast, "Participant", lambda *_: pytest.fail("an unmarked participant"))
+    reason = (
+        f"cannot write the Fast DDS profile to {full_state / 'ros2'} or another folder ({full_state}: Not a directory)"
+    )
+    with pytest.raises(RuntimeError, match=f"{re.escape(reason)}; free space"):
+        fast.FastDds(UDP_ONLY).join(full_state, "midspan")
+
+
+_JOIN = """
+import pathlib, sys
+from bridge.config.model import Config
+from bridge.messages.registry import Registry
+from tests.adapters.ros2.conftest import RunningEdge
+running = RunningEdge(Registry(), pathlib.Path(sys.argv[1]))
+participants = running.edge._context.participant.participants()
+print(*(gid.hex() for gid in participants), running.edge._prefix.hex(), flush=True)
+running.edge.stop()
+"""
+
+
+def test_a_participant_without_a_usable_state_folder_carries_the_mark(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    env = {**ros2_environment(), "XDG_RUNTIME_DIR": str(tmp_path)}
+    root = Path(__file__).parents[3]
+    done = subprocess.run(
+        [sys.executable, "-c", _JOIN, tmp_path / "file" / "state"],
+        cwd=root, env=env, capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    *participants, prefix = map(bytes.fromhex, done.stdout.splitlines()[-1].split())
+    assert [gid[:12] for gid in participants] == [prefix], done.stderr
+    assert is_marked(prefix)
+    assert [file.name for file in tmp_path.iterdir()] == ["file"]
 
 
 SHM = """<transport_descriptors><transport_descriptor><transport_id>own</transport_id><type>SHM</type>

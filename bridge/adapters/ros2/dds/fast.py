@@ -18,7 +18,7 @@ from bridge.adapters.ros2.graph.heartbeats import Heartbeats
 from bridge.adapters.ros2.graph.marks import PRESENCE
 from bridge.adapters.ros2.graph.origins import PREFIX_BYTES, is_marked, new_prefix, participant_number, remember
 from bridge.adapters.ros2.participant import Participant
-from bridge.adapters.ros2.profile import use_profile
+from bridge.adapters.ros2.profile import remove_temporary, use_profile
 from bridge.adapters.ros2.services.fast import FastClient, FastServer
 from bridge.adapters.ros2.services.port import ClientPort, ServerPort
 from bridge.adapters.ros2.types import TypeSupports
@@ -54,6 +54,7 @@ class FastDds(Dds):
             _log.warning("%s", self._trouble)
         self._number, self._peers = participant_number(profile.prefix), profile.peers
         participant = Participant(node, self._domain)
+        remove_temporary()
         if not security.is_enabled(os.environ):
             return Joined(participant, profile.prefix, profile.segment)
         remember(profile.prefix, state / "ros2")  # the prefix in use does not contain the number
