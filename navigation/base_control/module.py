@@ -41,6 +41,8 @@ class BaseControl(Module):
 
     name = "base_control"
 
+    _can_command = False  # until `start` has a publisher for the wheels; if it fails earlier, nothing has to stop
+
     @override
     def start(self, host: Host, section: Section) -> None:
         assert isinstance(section, BaseControlSection)
@@ -62,6 +64,7 @@ class BaseControl(Module):
         self._wheels = host.node.publisher(section.wheel_command, JOINTS, Qos(depth=1), priority="command")
         still = {"name": list(section.joints), "velocity": [0.0] * len(section.joints)}
         self._command = self._wheels.template(still, "header.stamp", "velocity")
+        self._can_command = True
         host.node.subscription(section.joint_states, JOINTS, self._on_encoders, Qos(depth=10))
         self._offer(host, section)
         host.on_jump(self._restart)
@@ -93,8 +96,9 @@ class BaseControl(Module):
     @override
     def on_failure(self, error: BaseException) -> bool:
         """Stop the base, because the next step may fail as well and send no command."""
-        self.base.stop()
-        self._turn(np.zeros(len(self._joints)))
+        if self._can_command:
+            self.base.stop()
+            self._turn(np.zeros(len(self._joints)))
         return super().on_failure(error)
 
     def _turn(self, velocities: Array) -> None:
@@ -185,4 +189,5 @@ class BaseControl(Module):
 
     @override
     def stop(self) -> None:
-        self._turn(np.zeros(len(self._joints)))
+        if self._can_command:
+            self._turn(np.zeros(len(self._joints)))

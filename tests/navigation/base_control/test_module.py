@@ -139,6 +139,14 @@ def test_missing_encoders_are_reported(place: Place) -> None:
     until(lambda: "no wheel encoders" in place.worker.health().text, "the module waits for encoders")
 
 
+def test_a_failed_start_gives_its_reason_without_tracebacks(place: Place, caplog: pytest.LogCaptureFixture) -> None:
+    started(place, joints=["a"])
+    text = place.worker.health().text
+    assert "has 2 wheels, not 1" in text
+    assert [record.getMessage() for record in caplog.records if record.exc_info] == []
+    place.worker.stop()
+
+
 def test_a_gamepad_drives_while_its_button_is_held(place: Place, wheels: Wheels) -> None:
     started(place)
     out = place.far.advertise("/joy", "sensor_msgs/Joy")
