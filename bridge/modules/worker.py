@@ -139,8 +139,11 @@ class Running:
         health = self._module_health(module)
         return Health(health.state, "; ".join(filter(None, (self._computes, health.text, host.yarp.trouble()))))
 
-    def begin_stop(self) -> None:
-        """Let the module begin to stop, without waiting for it as `stop` does. Safe to call twice."""
+    def begin_stop(self, *, started: bool = True) -> None:
+        """Let the module begin to stop, without waiting for it as `stop` does. Safe to call twice.
+
+        A module that has not ``started`` may lack what it stops; its errors are logged at the level debug.
+        """
         module, host = self._module, self._host
         if module is None or host is None or self._winding_down is not None:
             return
@@ -151,14 +154,14 @@ class Running:
             try:
                 module.begin_stop(done.set)
             except Exception:
-                _log.exception("%s: error while stopping", self.name)
+                self._log_stop(started=started)
                 done.set()
 
         host.loop.post(begin)
 
-    def stop(self) -> None:
-        """Stop the module and close its endpoints. Safe to call twice."""
-        self.begin_stop()
+    def stop(self, *, started: bool = True) -> None:
+        """Stop the module and close its endpoints; ``started`` as in `begin_stop`. Safe to call twice."""
+        self.begin_stop(started=started)
         module, self._module = self._module, None
         host, self._host = self._host, None
         winding_down, self._winding_down = self._winding_down, None
@@ -168,9 +171,12 @@ class Running:
                 done.wait(max(end - time.monotonic(), 0.0))
                 host.loop.call(lambda: _end(module, host), seconds=STOP_SECONDS)
             except Exception:
-                _log.exception("%s: error while stopping", self.name)
+                self._log_stop(started=started)
         if host is not None:
             host.close()
+
+    def _log_stop(self, *, started: bool) -> None:
+        _log.log(logging.ERROR if started else logging.DEBUG, "%s: error while stopping", self.name, exc_info=True)
 
     def _module_health(self, module: Module) -> Health:
         """Return the health that the module reports; an exception in the report must not affect other modules."""
@@ -197,7 +203,7 @@ class Running:
             return {}, [f"the module's status failed: {described(err)}"]
 
     def _on_failure(self, why: str) -> None:
-        self.stop()
+        self.stop(started=False)
         pause = self._backoff.pause(time.monotonic() - self._started)
         self._trouble, self._again = why, time.monotonic() + pause
         _log.error("%s cannot start: %s; retrying in %.0f s", self.name, why, pause)

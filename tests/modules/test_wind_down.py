@@ -11,8 +11,10 @@ from typing import Any
 import pytest
 
 from bridge.adapters.worker import DRAIN_SECONDS
+from bridge.config.sections.section import Section
 from bridge.daemon.worker_run import Timing
 from bridge.modules import worker as modules_worker
+from bridge.modules.host import Host
 from bridge.modules.module import Module
 from bridge.modules.worker import Running
 from tests.peers.hub.modules import STRING, Place
@@ -163,6 +165,29 @@ def test_a_module_that_fails_to_wind_down_is_closed(
     Stopping(running).join()
     assert "no base" in caplog.text
     until(lambda: not place.far.hub.graph.publishers("/said"), "the module's endpoints are closed")
+
+
+class Unready(Module):
+    """Fails to start before it has what it stops."""
+
+    name = "unready"
+
+    def start(self, _host: Host, _section: Section) -> None:
+        raise RuntimeError("no wheels")
+
+    def stop(self) -> None:
+        raise AttributeError("_wheels")
+
+
+def test_a_module_that_fails_to_start_gives_its_reason_without_the_errors_of_its_stop(
+    place: Place, caplog: pytest.LogCaptureFixture
+) -> None:
+    running = place.worker.running("echo")
+    running.stop()
+    running._kind = Unready
+    running.start()
+    assert "echo cannot start: no wheels" in caplog.text
+    assert "error while stopping" not in caplog.text
 
 
 def test_the_workers_of_the_sides_wait_longer_than_a_module_winds_down_and_the_daemon_waits_longest() -> None:
