@@ -86,9 +86,10 @@ def test_settings_with_which_nothing_would_work_are_refused(section: str, settin
     assert line.endswith(f": hub.{section}.{place}: {text}")
 
 
-def test_zenohs_link_protocols_may_contain_that_of_the_hub() -> None:
-    loads("hub: {zenoh: {transport: {link: {protocols: [tcp, udp]}}}}")
-    loads("hub: {listen: tls/127.0.0.1:7447, zenoh: {transport: {link: {protocols: [tls]}}}}")
+@pytest.mark.parametrize("listen, protocols", [("tcp/127.0.0.1:7447", ["tcp", "udp"]), ("tls/127.0.0.1:7447", ["tls"])])
+def test_zenohs_link_protocols_may_contain_that_of_the_hub(listen: str, protocols: list[str]) -> None:
+    config = loads(json.dumps({"hub": {"listen": listen, "zenoh": {"transport": {"link": {"protocols": protocols}}}}}))
+    assert config.hub.listen == listen
 
 
 @pytest.mark.parametrize(
