@@ -86,7 +86,9 @@ def test_settings_with_which_nothing_would_work_are_refused(section: str, settin
     assert line.endswith(f": hub.{section}.{place}: {text}")
 
 
-@pytest.mark.parametrize("listen, protocols", [("tcp/127.0.0.1:7447", ["tcp", "udp"]), ("tls/127.0.0.1:7447", ["tls"])])
+@pytest.mark.parametrize(
+    ("listen", "protocols"), [("tcp/127.0.0.1:7447", ["tcp", "udp"]), ("tls/127.0.0.1:7447", ["tls"])]
+)
 def test_zenohs_link_protocols_may_contain_that_of_the_hub(listen: str, protocols: list[str]) -> None:
     config = loads(json.dumps({"hub": {"listen": listen, "zenoh": {"transport": {"link": {"protocols": protocols}}}}}))
     assert config.hub.listen == listen
