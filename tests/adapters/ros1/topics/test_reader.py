@@ -84,18 +84,20 @@ def frame(payload):
 def test_a_message_is_unread_from_its_arrival_to_its_delivery(monkeypatch, reads):
     """A request to cancel all goals, which arrives in between, has to find its client's goal."""
     found: list[bool] = []
+    opened: list[Connection] = []
 
     class Spy(socket.socket):
         def recv(self, count, flags=0) -> bytes:
             data = super().recv(count, flags)
             if data == frame(b"a goal") and not flags & socket.MSG_PEEK:
-                found.append(connection.reader.unread)
+                found.append(opened[0].reader.unread)
             return data
 
     monkeypatch.setattr(socket, "socket", Spy)
     monkeypatch.setattr(module, "Stream", None)
     loop = None if reads == "alone" else ConnectionLoop()
     connection = Connection(loop)
+    opened.append(connection)
     for number in range(1, 4):
         connection.publisher.sendall(frame(b"a goal"))
         until(lambda number=number: len(connection.messages) == number, "the message is delivered")
