@@ -97,13 +97,20 @@ def test_links_are_compared_during_the_search_for_a_closed_session(
         assert left in first.mesh.lost
 
 
-def test_search_for_an_unreachable_session_ends(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch) -> None:
+@contextlib.contextmanager
+def given_up(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hub]:
+    """Open a session that has given up the search for an unreachable one."""
     monkeypatch.setattr(links, "_COMPARE_SECONDS", 0.2)
     monkeypatch.setattr(links, "_REMEMBERED_SECONDS", 0.5)
     with Hub.open(hubs.settings("one")) as hub:
         hubs.list_also("abcd")
         until(lambda: "abcd" in hub.mesh.lost, "the unreachable session is searched for")
         until(lambda: not hub.mesh.lost, "the search ends")
+        yield hub
+
+
+def test_search_for_an_unreachable_session_ends(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch) -> None:
+    with given_up(hubs, monkeypatch) as hub:
         answered = hubs.answered
         until(lambda: hubs.answered > answered + 3, "the links are compared again")
         assert not hub.mesh.lost
@@ -113,12 +120,7 @@ def test_a_query_without_an_answer_does_not_begin_another_search(
     hubs: QuickHub, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """In another search, the router's link to the session would be ended again."""
-    monkeypatch.setattr(links, "_COMPARE_SECONDS", 0.2)
-    monkeypatch.setattr(links, "_REMEMBERED_SECONDS", 0.5)
-    with Hub.open(hubs.settings("one")) as hub:
-        hubs.list_also("abcd")
-        until(lambda: "abcd" in hub.mesh.lost, "the unreachable session is searched for")
-        until(lambda: not hub.mesh.lost, "the search ends")
+    with given_up(hubs, monkeypatch) as hub:
         hubs.unanswered = 1
         until(lambda: not hubs.unanswered, "a query is not answered")
         answered = hubs.answered
