@@ -65,6 +65,17 @@ def test_simulated_time_begins_and_ends_by_a_reload(running: Deployment) -> None
     running.configure()
     running.hang_up()
     until(lambda: restarted(running, after), "workers restart", 40, every=0.1)
+    assert "/use_sim_time" not in running.master.parameters(), "Midspan takes back what it has set"
+    assert running.ros1("late").ask("now")["seconds"] > 0, "a program that starts now runs on the system clock"
+    for side in before:
+        assert "/clock" not in str(running.answer(side)["warnings"])
+
+    running.ros1("operator").ask("set_param", name="/use_sim_time", value=True)
     cure = "set clock.source to sim, or the parameter to false"
     until(lambda: cure in str(running.worker("ros1").get("warnings")), "the status of ros1 has the cure", 20, every=0.1)
-    assert "/clock" not in str(running.answer("ros2")["warnings"])
+    before = {"ros1": running.answer("ros1")["pid"]}
+    running.configure(clock={"source": "sim"})
+    running.hang_up()
+    until(lambda: restarted(running, before), "the side joins again", 40, every=0.1)
+    assert running.stop_daemon() == 0
+    assert running.master.call("getParam", "/use_sim_time") is True, "the operator's value stays"

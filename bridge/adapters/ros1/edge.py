@@ -105,6 +105,7 @@ class Ros1Edge(SideEdge):
             uri, self._node, daemon, self._ledger, period, self._on_master_state, listener.edge_failed,
             self._services.is_gone, self._pool, simulated=self._config.clock.simulated,
         )  # fmt: skip
+        self._node.parameter_listeners.add(self._master.on_parameter)
         self._master.start()
 
     @override
@@ -329,11 +330,17 @@ class Ros1Edge(SideEdge):
         from bridge.adapters.ros1.parameters.follower import ParameterSharing
 
         self._parameters = sharing = ParameterSharing(rules, hub, self._registry, self._parameter_server(), active)
-        node.parameter_changed = sharing.compare_soon
+
+        def changed(_key: str) -> bool:
+            sharing.compare_soon()
+            return True
 
         def stop() -> None:
-            self._parameters = node.parameter_changed = None
+            self._parameters = None
+            node.parameter_listeners.discard(changed)
             sharing.stop()
+
+        node.parameter_listeners.add(changed)
 
         return stop
 

@@ -30,31 +30,20 @@ def test_the_network_is_identified_by_the_run_id(master, tmp_path):
         assert "/rosout" not in [t for t, nodes in master.state()["publishers"].items() if "/midspan" in nodes]
 
 
-@pytest.mark.thorough
-def test_new_nodes_use_the_simulated_clock(master, tmp_path):
-    with edge_on(master, tmp_path / "one", node="on_system"):
-        assert "/use_sim_time" not in master.parameters()
-    with edge_on(master, tmp_path / "two", node="on_sim", clock="sim") as edge:
-        assert master.call("getParam", "/use_sim_time") is True
-        assert not [w for w in edge.ask("status")["warnings"] if "/use_sim_time" in w]
-    with edge_on(master, tmp_path / "three", node="beside") as edge:
-        assert [w for w in edge.ask("status")["warnings"] if "clock.source to sim" in w]
-    master.call("deleteParam", "/use_sim_time")
-
-
-def test_a_clean_stop_leaves_nothing(master, tmp_path):
+@pytest.mark.parametrize("clock", ["system", "sim"])
+def test_a_clean_stop_leaves_nothing(master, tmp_path, clock):
     with master.peer("clean") as peer:
         peer.advertise("/clean/in", "std_msgs/String")
-        before = (master.state(), master.parameters())
-        with edge_on(master, tmp_path) as edge:
+        before = (master.state(), master.call("getParam", "/"))
+        with edge_on(master, tmp_path, clock=clock) as edge:
             edge.endpoint(topic="/clean/in", made_by="native")
             for n in range(20):
                 edge.open("/clean/in", "std_msgs/String")
                 edge.ask("advertise", topic=f"/clean/out{n}", type="std_msgs/String", latched=True)
             until(lambda: "/clean/out19" in master.state()["publishers"], "all topics are registered")
-            assert (master.state(), master.parameters()) != before
+            assert (master.state(), master.call("getParam", "/")) != before
             assert edge.leave() < AT_ONCE, "Edge.stop returns within twice its limit"
-            assert (master.state(), master.parameters()) == before
+            assert (master.state(), master.call("getParam", "/")) == before
             assert edge.ask("network")["network"] is None
             edge.ask("stop")
 

@@ -156,7 +156,7 @@ def _slave() -> Subject:
     book = TopicBook(ConnectionLoop(), lambda: "/node", "robot", lambda: None, lambda: None)
     book.publish("/chatter", SideType("std_msgs/String", "0" * 32, "string data\n"), latched=True)
     state = SlaveState(lambda: "/node", lambda: "http://x:1/", "http://m:1/", lambda: ("x", 2), book, lambda: [0, 0, 0])
-    api = SlaveApi(state, SlaveEvents(lambda: None, lambda: True, lambda _: None))
+    api = SlaveApi(state, SlaveEvents(lambda: None, lambda _: True, lambda _: None))
     calls: dict[str, tuple[Any, ...]] = {
         **dict.fromkeys(api.methods, ()), "shutdown": ("why",), "paramUpdate": ("/a", {"b": [1, 2.5]}),
         "publisherUpdate": ("/chatter", ["http://h:1/"]), "requestTopic": ("/chatter", [["UDPROS", 1], ["TCPROS"]]),

@@ -72,8 +72,8 @@ class Master:
 
     @property
     def simulated(self) -> bool:
-        """Whether the master's nodes run on ``/clock``, according to ``/use_sim_time`` at the time of joining."""
-        return self._membership.simulated
+        """Whether nodes of the master that start now run on ``/clock``, according to ``/use_sim_time``."""
+        return self._membership.sim_time.simulated
 
     def start(self) -> None:
         """Start following; the master may be unreachable."""
@@ -91,6 +91,13 @@ class Master:
     def stop_registering(self) -> None:
         """Stop registering, because another node has this name, and the two would shut each other down in turn."""
         self._name_lost = True
+
+    def on_parameter(self, key: str) -> bool:
+        """Handle an update of a parameter; return whether the master's thread has subscribed to it."""
+        subscribed = self._membership.sim_time.on_parameter(key)
+        if subscribed:
+            self._wake.set()
+        return subscribed
 
     def presence(self) -> NodeEntry:
         """Return the presence entry of this node, which is a parameter on the master."""
@@ -141,6 +148,7 @@ class Master:
             self.polled_at = time.monotonic()
             state = self._reader.read()
             self._run_id = state.run
+        self._membership.sim_time.refresh()
         self._check_name(state)
         calls = [] if self._name_lost else self._registrations.corrections(state, self.presence())
         for batch in batches(calls):

@@ -6,16 +6,14 @@ import logging
 import os
 import re
 
-from bridge.adapters.ros1.graph.presence import Ledger, NodeEntry, is_alive, pid_of, removal_calls
+from bridge.adapters.ros1.graph.presence import Ledger, NodeEntry, is_alive, others, pid_of, removal_calls
 from bridge.adapters.ros1.graph.registrations import batches
-from bridge.adapters.ros1.graph.state import MasterReader, MasterState
+from bridge.adapters.ros1.graph.sim_time import SimTime
+from bridge.adapters.ros1.graph.state import NAMESPACE, MasterReader, MasterState
 from bridge.adapters.ros1.node.node import Ros1Node
 from bridge.adapters.ros1_peers import XmlRpcClient
 
 _log = logging.getLogger(__name__)
-
-SIM_TIME = "/use_sim_time"
-"""The parameter by which ROS 1 nodes, as they start, decide to run on ``/clock`` (wiki.ros.org/Clock)."""
 
 _SPARE_NAMES = 9
 
@@ -24,7 +22,7 @@ class Membership:
     """Joins the network of a master, and leaves it. Used on one thread.
 
     Attributes:
-        simulated: whether the network's nodes run on ``/clock``, according to `SIM_TIME` at the time of joining.
+        sim_time: the network's parameter ``/use_sim_time``.
     """
 
     def __init__(
@@ -33,12 +31,14 @@ class Membership:
     ) -> None:  # fmt: skip
         self._node, self._daemon, self._ledger = node, daemon, ledger
         self._client, self._reader = client, reader
-        self.simulated = self._simulated = simulated
+        self.sim_time = SimTime(node, client, wanted=simulated)
 
     def entry(self) -> NodeEntry:
         """Return the presence entry of this node."""
         node = self._node
-        return NodeEntry(self._ledger.owner, self._daemon, node.name, node.uri, os.getpid(), node.port)
+        return NodeEntry(
+            self._ledger.owner, self._daemon, node.name, node.uri, os.getpid(), node.port, self.sim_time.wanted
+        )
 
     def join(self, state: MasterState) -> None:
         """Join the network of a master with this state: remove dead predecessors, choose a name, and set the entry."""
@@ -61,7 +61,7 @@ class Membership:
             if self._free_name(state, dead_uris) == name:
                 break
         self._ledger.remember(self.entry())
-        self._agree_on_the_clock()
+        self.sim_time.join(others(state, entry), predecessor=any(e.simulated for e in dead))
         _log.info("joined the ROS 1 network %s as %s", state.network, name)
 
     def leave(self, client: XmlRpcClient) -> None:
@@ -70,18 +70,15 @@ class Membership:
         state = MasterReader(client, entry.node).read()
         for batch in batches(removal_calls(state, [entry])):
             client.calls(batch)
+        self.sim_time.leave(client)
+        (tree,) = client.calls([("getParam", (entry.node, NAMESPACE))])
+        if _is_empty(tree):
+            client.calls([("deleteParam", (entry.node, NAMESPACE))])
         self._ledger.remember(None)
 
     def responds(self, uri: str) -> bool:
         """Return whether a node responds at this URI; see `pid_of`."""
         return pid_of(self._node.name, uri) is not None
-
-    def _agree_on_the_clock(self) -> None:
-        """Make new nodes use ``/clock`` in a simulated run; otherwise read whether they do."""
-        if self._simulated:
-            self._client.calls([("setParam", (self._node.name, SIM_TIME, True))])
-        else:
-            (self.simulated,) = (bool(v) for v in self._client.calls([("getParam", (self._node.name, SIM_TIME))]))
 
     def _free_name(self, state: MasterState, dead: set[str]) -> str:
         """Return this node's name, or a variant if a live node has it, as the master would shut that node down."""
@@ -94,3 +91,8 @@ class Membership:
             if not any(self.responds(holder) for holder in holders):
                 return name
         return f"{second}_{os.getpid()}"
+
+
+def _is_empty(tree: object) -> bool:
+    """Return whether a namespace has no values."""
+    return isinstance(tree, dict) and all(map(_is_empty, tree.values()))

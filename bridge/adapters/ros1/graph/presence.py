@@ -1,9 +1,9 @@
 """The Midspan nodes on a ROS 1 network: a master parameter per node, and this daemon's dead predecessors.
 
-Each Midspan node has an entry below ``/midspan/nodes`` on the master: ``{owner, daemon, node, uri, pid, port}``. Its
-key depends only on the node's address, so that two nodes with the same name never overwrite each other's entry.
-``owner`` is a random identity in the state folder, by which a daemon recognizes its dead predecessors. The daemon
-removes only their registrations from the master.
+Each Midspan node has an entry below ``/midspan/nodes`` on the master: ``{owner, daemon, node, uri, pid, port,
+simulated}``. Its key depends only on the node's address, so that two nodes with the same name never overwrite each
+other's entry. ``owner`` is a random identity in the state folder, by which a daemon recognizes its dead predecessors.
+The daemon removes only their registrations from the master.
 
 The nodes exchange everything else over direct connections, so that a crash, which breaks the connection, is noticed at
 once. Each node connects to every other node's TCPROS port with the header field ``midspan_presence`` (the URI of the
@@ -52,7 +52,8 @@ during one of them. If the node's host refuses the connection, one call suffices
 class NodeEntry:
     """One Midspan node on a ROS 1 network.
 
-    ``owner`` is the random identity of the daemon's state folder; ``uri`` is for XML-RPC, ``port`` for TCPROS.
+    ``owner`` is the random identity of the daemon's state folder; ``uri`` is for XML-RPC, ``port`` for TCPROS;
+    ``simulated`` is whether the node runs on ``/clock``.
     """
 
     owner: str
@@ -61,6 +62,7 @@ class NodeEntry:
     uri: str
     pid: int
     port: int = 0
+    simulated: bool = False
 
     @property
     def key(self) -> str:
@@ -84,7 +86,8 @@ class NodeEntry:
                 "owner": str(owner), "daemon": str(daemon), "node": str(node), "uri": str(uri), "pid": int(pid),
             } if (owner + daemon + node + uri).isprintable():  # fmt: skip
                 port = entry.get("port")
-                return cls(owner, daemon, node, uri, pid, port if isinstance(port, int) else 0)
+                port = port if isinstance(port, int) else 0
+                return cls(owner, daemon, node, uri, pid, port, entry.get("simulated") is True)
         return None
 
 

@@ -18,7 +18,10 @@ delays messages, and less than 1 % of them may be affected."""
 _LONGEST = 2.0
 """Longest time between two reads in seconds, unless the configuration sets a longer one."""
 
-PRESENCE = "/midspan/nodes"
+NAMESPACE = "/midspan"
+"""Namespace of Midspan's own master parameters."""
+
+PRESENCE = f"{NAMESPACE}/nodes"
 """Master parameter with an entry for each Midspan node."""
 
 

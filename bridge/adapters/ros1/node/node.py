@@ -52,14 +52,14 @@ class Ros1Node:
 
     Attributes:
         name: the node's name; may be changed while nothing is registered under the old name.
-        parameter_changed: called when a subscribed parameter has changed.
+        parameter_listeners: called with the key of a changed parameter; each returns whether it has subscribed to it.
     """
 
     def __init__(
         self, name: str, master_uri: str, context: Ros1Context, servers: ServiceServers, events: NodeEvents
     ) -> None:
         self.name = name
-        self.parameter_changed: Changed | None = None
+        self.parameter_listeners: set[Callable[[str], bool]] = set()
         self._book, self._servers, self._events = context.book, servers, events
         address = NodeAddress.of(os.environ)
         state = SlaveState(
@@ -107,11 +107,9 @@ class Ros1Node:
         self._book.close()
         self._server.close()
 
-    def _on_parameter(self) -> bool:
-        changed = self.parameter_changed
-        if changed is not None:
-            changed()
-        return changed is not None
+    def _on_parameter(self, key: str) -> bool:
+        replies = [listener(key) for listener in tuple(self.parameter_listeners)]
+        return any(replies)
 
     def _admit(self, sock: DeadlineSocket, header: Header) -> str:
         """Pass a peer to the topics, services or links between Midspan nodes; return "" or why it is rejected."""

@@ -98,7 +98,7 @@ class PlainNode:
                 lambda: name, lambda: self.uri, master_uri, lambda: (address.host, self._tcpros.port), self._book,
                 lambda: [0, 0, 0],
             )  # fmt: skip
-            methods = SlaveApi(state, SlaveEvents(self.follow, lambda: False, self._on_shutdown)).methods
+            methods = SlaveApi(state, SlaveEvents(self.follow, lambda _: False, self._on_shutdown)).methods
             self._server = XmlRpcServer(methods, address.bind, name=f"{label}-slave", limits=_LIMITS)
             opened.pop_all()
         self.uri = f"http://{address.in_uri}:{self._server.port}/"

@@ -50,12 +50,12 @@ class SlaveEvents:
 
     Attributes:
         publishers_changed: called when the publishers of a subscribed topic have changed.
-        parameter_changed: called when a subscribed parameter has changed; returns False if none is subscribed.
+        parameter_changed: called with the key of a changed parameter; returns False if it is not subscribed.
         shutdown: called with the reason when another node, the master or a user requests the node's shutdown.
     """
 
     publishers_changed: Callable[[], None]
-    parameter_changed: Callable[[], bool]
+    parameter_changed: Callable[[str], bool]
     shutdown: Callable[[str], None]
 
 
@@ -86,9 +86,9 @@ class SlaveApi:
         return 1, "shutdown", 0
 
     def _parameter_update(self, _caller: str, key: object, _value: object) -> Answer:
-        _text(key, "parameter_key")
+        name = _text(key, "parameter_key")
         # the value is read again, since several updates may arrive in any order
-        return (1, "", 0) if self._events.parameter_changed() else (-1, "not subscribed", 0)
+        return (1, "", 0) if self._events.parameter_changed(name) else (-1, "not subscribed", 0)
 
     def _publisher_update(self, caller: str, topic: object, publishers: object) -> Answer:
         _resolved(caller, topic)

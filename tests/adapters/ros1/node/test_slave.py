@@ -203,11 +203,11 @@ def test_udpros_is_refused_and_tcpros_chosen(node: Node) -> None:
 def test_an_update_is_reported_only_if_a_parameter_is_subscribed(node: Node, monkeypatch: pytest.MonkeyPatch) -> None:
     woken: list[str] = []
     assert node.call("paramUpdate", "/a", 1)[0] == -1, "no parameter is subscribed"
-    monkeypatch.setattr(node.node, "parameter_changed", lambda: woken.append("parameter"))
+    monkeypatch.setattr(node.node, "parameter_listeners", {lambda key: not woken.append(key)})
     assert node.value("paramUpdate", "/a/", {"b": 1}) == 0
     assert node.value("publisherUpdate", "/a", []) == 0
     assert node.value("publisherUpdate", "/a", ["http://[::1]:4/", "http://b:5/"]) == 0
-    assert woken == ["parameter"]
+    assert woken == ["/a/"]
 
 
 def test_parameter_updates_are_refused_once_the_rules_are_removed(node: Node) -> None:

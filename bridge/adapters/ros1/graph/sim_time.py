@@ -1,0 +1,106 @@
+"""``/use_sim_time`` on a master: Midspan sets it for a simulated run, and takes it back after the last one.
+
+`SET_BY` exists on the master while `SIM_TIME` has the value that Midspan has set, because both outlive a killed
+process and end with the master. The nodes of all daemons share it: one node may take back what another has set.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Iterable
+from typing import Any
+
+from bridge.adapters.ros1.graph.presence import NodeEntry, is_alive
+from bridge.adapters.ros1.graph.state import PRESENCE
+from bridge.adapters.ros1.node.node import Ros1Node
+from bridge.adapters.ros1_peers import Call, Ros1Error, XmlRpcClient
+
+_log = logging.getLogger(__name__)
+
+SIM_TIME = "/use_sim_time"
+"""The parameter by which ROS 1 nodes, as they start, decide to run on ``/clock`` (wiki.ros.org/Clock)."""
+
+SET_BY = "/midspan/use_sim_time"
+"""``{uri, before}``: the XML-RPC address of the node that set `SIM_TIME`, and a list of the value that it replaced."""
+
+
+class SimTime:
+    """The parameter, for one node. Used on one thread, except `on_parameter`. Methods raise `Ros1Error`.
+
+    Attributes:
+        wanted: whether this node runs on ``/clock``, so that the network's nodes should, too.
+        simulated: whether nodes that start now run on ``/clock``, according to the parameter.
+    """
+
+    def __init__(self, node: Ros1Node, client: XmlRpcClient, *, wanted: bool) -> None:
+        self._node, self._client = node, client
+        self.wanted = self.simulated = wanted
+        self._set_by: Any = None
+        self._changed = threading.Event()
+
+    def on_parameter(self, key: str) -> bool:
+        """Handle an update of a parameter that another program has set; return whether it is this one. Thread-safe."""
+        if key.rstrip("/") != SIM_TIME:
+            return False
+        self._changed.set()
+        return True
+
+    def join(self, others: Iterable[NodeEntry], *, predecessor: bool) -> None:
+        """Set the parameter if it is wanted; else take it back for a dead ``predecessor`` that ran on ``/clock``."""
+        me, uri = self._node.name, self._node.uri
+        self._changed.clear()
+        self._client.calls([("subscribeParam", (me, uri, SIM_TIME))])
+        value, self._set_by = self._read(self._client)
+        if self.wanted and not value:
+            self._set_by = {"uri": uri, "before": [] if value is None else [value]}
+            # a node that is notified of the value must find the new address, else it takes this node for a program
+            self._client.calls([("setParam", (me, SET_BY, self._set_by)), ("setParam", (me, SIM_TIME, True))])
+            value = True
+        elif predecessor and not self.wanted and not self._needed(others):
+            self._take_back(self._client)
+            value, self._set_by = self._read(self._client)
+        self.simulated = bool(value)
+
+    def refresh(self) -> None:
+        """Read the parameter again if another program has set it; Midspan does not take back that program's value."""
+        if not self._changed.is_set():
+            return
+        self._changed.clear()
+        try:
+            value, set_by = self._read(self._client)
+            if set_by is not None and set_by == self._set_by:
+                _log.info("%s was set to %s by another program, and will not be reset", SIM_TIME, value)
+                self._client.calls([("deleteParam", (self._node.name, SET_BY))])
+                set_by = None
+        except Ros1Error:
+            self._changed.set()
+            raise
+        self.simulated, self._set_by = bool(value), set_by
+
+    def leave(self, client: XmlRpcClient) -> None:
+        """Take the parameter back unless another node needs it; call this after the removal of the own entry.
+
+        So of two nodes that leave at the same time, one finds no other.
+        """
+        me = self._node.name
+        calls: list[Call] = [("unsubscribeParam", (me, self._node.uri, SIM_TIME)), ("getParam", (me, PRESENCE))]
+        _, presence = client.calls(calls)
+        entries = map(NodeEntry.parse, presence.values() if isinstance(presence, dict) else ())
+        if self.wanted and not self._needed(filter(None, entries)):
+            self._take_back(client)
+
+    def _needed(self, others: Iterable[NodeEntry]) -> bool:
+        return any(entry.simulated and is_alive(self._node.name, entry) for entry in others)
+
+    def _read(self, client: XmlRpcClient) -> list[Any]:
+        return client.calls([("getParam", (self._node.name, name)) for name in (SIM_TIME, SET_BY)])
+
+    def _take_back(self, client: XmlRpcClient) -> None:
+        me = self._node.name
+        match self._read(client):
+            case [value, {"before": [*before]}]:
+                undo: Call = ("setParam", (me, SIM_TIME, before[0])) if before else ("deleteParam", (me, SIM_TIME))
+                if value is True:
+                    _log.info("%s is reset, since no Midspan node runs on /clock any longer", SIM_TIME)
+                client.calls([*([undo] if value is True else []), ("deleteParam", (me, SET_BY))])

@@ -1,0 +1,107 @@
+"""A real master's `/use_sim_time`: what Midspan has set is taken back, and what others have set stays."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bridge.adapters.ros1.graph.sim_time import SET_BY, SIM_TIME
+from tests.peers.ros1.adapter import EdgeUnderTest, edge_on
+from tests.peers.ros1.network import RosMaster, needs_ros1
+from tests.support.wait import until
+
+pytestmark = needs_ros1
+
+CURE = "clock.source to sim"
+
+
+@pytest.fixture(autouse=True)
+def clean(master: RosMaster) -> Iterator[None]:
+    """Remove what a test has left on the master."""
+    yield
+    for name in (SIM_TIME, SET_BY):
+        master.call("deleteParam", name)
+
+
+def simulated(master: RosMaster, state: Path, daemon: str = "robot") -> EdgeUnderTest:
+    return edge_on(master, state, daemon, clock="sim")
+
+
+def sim_time(master: RosMaster) -> Any:
+    return master.call("getParam", SIM_TIME)
+
+
+@pytest.mark.parametrize("before", [None, False])
+def test_a_stop_restores_the_former_value(master: RosMaster, tmp_path: Path, before: Any) -> None:
+    if before is not None:
+        master.call("setParam", SIM_TIME, before)
+    with simulated(master, tmp_path) as edge:
+        assert sim_time(master) is True
+        edge.leave()
+        assert sim_time(master) is before
+        assert master.call("getParam", SET_BY) is None
+
+
+def test_a_value_that_was_set_before_stays(master: RosMaster, tmp_path: Path) -> None:
+    master.call("setParam", SIM_TIME, True)
+    with simulated(master, tmp_path) as edge:
+        edge.leave()
+        assert sim_time(master) is True
+
+
+@pytest.mark.parametrize("value", [True, False])
+def test_a_value_that_a_program_sets_meanwhile_stays(master: RosMaster, tmp_path: Path, value: bool) -> None:
+    """A launch file of a simulation sets the same value."""
+    with simulated(master, tmp_path) as edge:
+        master.call("setParam", SIM_TIME, value)
+        until(lambda: master.call("getParam", SET_BY) is None, "the value is no longer Midspan's")
+        edge.leave()
+        assert sim_time(master) is value
+
+
+def test_the_last_of_several_nodes_takes_it_back(master: RosMaster, tmp_path: Path) -> None:
+    with simulated(master, tmp_path / "one") as one, simulated(master, tmp_path / "two", "other") as two:
+        one.leave()
+        assert sim_time(master) is True
+        two.leave()
+        assert sim_time(master) is None
+
+
+@pytest.mark.parametrize("clock", ["system", "sim"])
+def test_the_successor_of_a_killed_process_takes_it_back(master: RosMaster, tmp_path: Path, clock: str) -> None:
+    with simulated(master, tmp_path) as edge:
+        edge.signal(signal.SIGKILL)
+    assert sim_time(master) is True
+    with edge_on(master, tmp_path / "bystander", "other"):
+        assert sim_time(master) is True, "the killed process may start again"
+    with edge_on(master, tmp_path, clock=clock) as edge:
+        assert sim_time(master) is (True if clock == "sim" else None)
+        assert not [w for w in edge.ask("status")["warnings"] if CURE in w]
+        edge.leave()
+        assert sim_time(master) is None
+
+
+def test_a_node_on_the_system_clock_follows_the_parameter(master: RosMaster, tmp_path: Path) -> None:
+    with edge_on(master, tmp_path) as edge:
+
+        def warns() -> bool:
+            return any(CURE in warning for warning in edge.ask("status")["warnings"])
+
+        assert not warns()
+        assert sim_time(master) is None
+        master.call("setParam", SIM_TIME, True)
+        until(warns, "the warning appears")
+        master.call("setParam", SIM_TIME, False)
+        until(lambda: not warns(), "the warning's cure ends it")
+
+
+def test_new_programs_run_on_the_system_clock_after_a_simulated_run(master: RosMaster, tmp_path: Path) -> None:
+    """A rospy node on `/clock` would sleep forever, because nothing publishes the time any longer."""
+    with simulated(master, tmp_path) as edge:
+        edge.leave()
+    with master.peer("late") as peer:
+        assert peer.ask("now")["seconds"] > 0
