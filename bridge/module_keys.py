@@ -1,4 +1,4 @@
-"""The keys of modules' status documents that other programs read, beyond those of a `bridge.status.ModuleStatus`.
+"""The keys of modules' and workers' status documents that other programs read, beyond the fields of `bridge.status`.
 
 A program reads them with `bridge.status.Part.other`.
 """
@@ -95,3 +95,24 @@ class BoardKeys(Part):
 
     boards: list[BoardStatus] = Field(default=[])
     refused: dict[Text, Text] = Field(default={})
+
+
+class SharedParameters(Part):
+    """A rule of ``routing.parameters``.
+
+    Attributes:
+        shared: number of shared parameters.
+        skipped: the node's parameters that are not shared because their names are not valid in ROS 1, sorted.
+    """
+
+    ros1: Text = ""
+    node: Text = ""
+    owner: Text = ""
+    shared: Int = 0
+    skipped: list[Text] = Field(default=[])
+
+
+class ParameterKeys(Part):
+    """The key of the ROS 1 side's worker for its rules."""
+
+    parameters: list[SharedParameters] = Field(default=[])

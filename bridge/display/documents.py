@@ -1,4 +1,4 @@
-"""Display of the workers' status documents: the table of routes, and the YARP ports."""
+"""Display of the workers' status documents: the table of routes, the YARP ports, and the shared parameters."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from rich.table import Table
 from rich.text import Text
 
 from bridge.doctor.causes import cause, same_for
+from bridge.module_keys import ParameterKeys
 from bridge.status import ConnectionStatus, PeerStatus, PortStatus, RouteStatus, StatusDocument
-from bridge.text import arrow, clean, duration, milliseconds, plural, rate, side_name, size
+from bridge.text import arrow, clean, duration, listed, milliseconds, plural, rate, side_name, size
 
 
 def routes_table(documents: Iterable[StatusDocument], *, errors: bool = True) -> Table:
@@ -158,6 +159,15 @@ def connected_lines(ports: Iterable[PortStatus]) -> list[str]:
     if idle:
         lines.append(f"{plural(idle, 'port')} without a connection")
     return lines
+
+
+def skipped_lines(document: StatusDocument) -> list[str]:
+    """Return a line for each node whose parameters are not all shared because of their names."""
+    return [
+        clean(f"parameters of {rule.node} whose names are not valid in ROS 1: {listed(rule.skipped)}")
+        for rule in document.other(ParameterKeys).parameters
+        if rule.skipped
+    ]
 
 
 def _peer(peer: PeerStatus) -> str:

@@ -31,22 +31,25 @@ def test_parameters_are_shared_in_both_directions(deployment: Deployment) -> Non
     ros1.ask("set_param", name="/robot", value={"speed": 1.5, "name": "r1", "limits": {"turn": 2}, "ranges": [1, 2.5]})
     ros2 = deployment.keep(Peer(PROGRAM, ros2_python(), ros2_environment(), "controller_server"))
     declared = {"FollowPath.speed": 0.5, "mode": "slow", "tries": 3, "weights": [1.0, 2.0]}
-    ambiguous = {"exposure": 7500, "exposure.1": 100}
-    ros2.ask("declare", parameters=declared | ambiguous, unset={"late": "DOUBLE"})
+    unusual = {"exposure": 7500, "exposure.1": 100, "stamp": 2**40, "a-b": 1}
+    ros2.ask("declare", parameters=declared | unusual, unset={"late": "DOUBLE"})
     deployment.run()
 
     assert_ros1_parameters_appear_on_a_node(ros1, ros2)
     assert_node_parameters_appear_in_ros1(ros1, ros2)
     _unusual_names_are_reported(deployment, ros1, ros2)
-    parameters = {item["ros1"]: item["shared"] for item in deployment.answer("ros1")["parameters"]}
-    assert parameters["/robot"] == 5
-    assert parameters["/nav/controller"] >= 4
+    parameters = {item["ros1"]: item for item in deployment.answer("ros1")["parameters"]}
+    assert parameters["/robot"]["shared"] == 5
+    assert parameters["/nav/controller"]["shared"] >= 4
+    assert "a-b" in parameters["/nav/controller"]["skipped"]
+    assert "a-b" in deployment.command("status", seconds=60).stdout
+    _a_value_that_ros1_cannot_represent_has_no_copy(ros1, ros2)
     # parameter services do not cross to ROS 1
     assert not [name for name in deployment.master.state()["services"] if "get_parameters" in name]
     _a_reload_applies_other_rules(deployment, ros1, ros2)
     assert deployment.stop_daemon() == 0
-    left = ros1.ask("get_param", name="/nav/controller")["value"]
-    assert {name: value for name, value in left.items() if value != {}} == {"trise": 3}, "only the copies are deleted"
+    assert ros1.ask("get_param", name="/nav")["value"] == {"controller": {"trise": 3}}, "only the copies are deleted"
+    assert ros1.ask("get_param", name="/midspan")["value"] is None
     assert ros1.ask("get_param", name="/robot/speed")["value"] == 2.5
 
 
@@ -112,6 +115,19 @@ def _unusual_names_are_reported(deployment: Deployment, ros1: Peer, ros2: Peer) 
 
     wanted = {f"parameter {namespace}/exposure/1", f"parameter {namespace}/trise"}
     until(lambda: wanted <= reported(), "status reports both", 30)
+
+
+def _a_value_that_ros1_cannot_represent_has_no_copy(ros1: Peer, ros2: Peer) -> None:
+    name = "/nav/controller/stamp"
+    assert ros1.ask("get_param", name=name)["value"] is None
+    ros2.ask("refuse", names=["stamp"])
+    ros1.ask("set_param", name=name, value=5)
+    until(lambda: ros1.ask("get_param", name=name)["value"] is None, "ROS 1 does not keep a value that is rejected", 30)
+    ros2.ask("refuse", names=[])
+    ros1.ask("set_param", name=name, value=6)
+    until(lambda: ros2.ask("own", name="stamp")["value"] == 6, "the node has ROS 1's value", 30)
+    assert ros2.ask("change", name="stamp", value=-(2**40))["successful"]
+    until(lambda: ros1.ask("get_param", name=name)["value"] is None, "the copy is deleted", 30)
 
 
 def _a_reload_applies_other_rules(deployment: Deployment, ros1: Peer, ros2: Peer) -> None:

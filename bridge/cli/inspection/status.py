@@ -20,7 +20,7 @@ from bridge.cli.output import CliError, print_json
 from bridge.client.errors import ClientError
 from bridge.client.refusals import Refusal, refusals
 from bridge.client.status import ask_status
-from bridge.display.documents import connected_lines, routes_table
+from bridge.display.documents import connected_lines, routes_table, skipped_lines
 from bridge.doctor.causes import cause, grouped, one_line, shared
 from bridge.doctor.daemon_state import (
     ENABLED,
@@ -171,6 +171,8 @@ def _show_worker(console: Console, document: StatusDocument, elsewhere: Containe
         )
     for group in document.middlewares if isinstance(document, WorkerStatus) else ():
         console.print(Text(f"           {clean(group)}: {clean(listed(group.nodes))}"))
+    for skipped in skipped_lines(document):
+        console.print(Text(f"           {skipped}"))
     for warning in grouped(text for text in document.warnings if cause(text) not in elsewhere):
         console.print(Text(f"           warning: {clean(warning)}", "yellow"))
 

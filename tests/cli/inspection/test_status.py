@@ -21,10 +21,13 @@ REFUSED = {
     "cure": "get it",
 }
 
+SHARED = {"ros1": "/nav", "node": "/nav", "owner": "ros2", "shared": 3, "skipped": ["qos_overrides./scan.depth", "a-b"]}
+
 
 @pytest.fixture
 def workers(network: HubNetwork, closing: list[FakeWorker | EngineWorker]) -> None:
-    ros1 = status("ros1", routes=[route("/scan"), route("/odd\x1b[2J", error="bad\x07bell")], refused=[REFUSED])
+    routes = [route("/scan"), route("/odd\x1b[2J", error="bad\x07bell")]
+    ros1 = status("ros1", routes=routes, refused=[REFUSED], parameters=[SHARED, {**SHARED, "skipped": []}])
     ros2 = status("ros2", state="waiting", network=None, routes=[route("/scan", "out", state="idle", age=None)])
     router = status("router", side="router", listen="tcp/127.0.0.1:1", sessions=3)
     gateway = status("gateway", side=None, state="waiting", network=None, text="the planner is not available")
@@ -45,6 +48,8 @@ def test_status_shows_each_worker_and_route(midspan: Midspan) -> None:
         "refused ROS 1 -> hub /odd (odd_msgs/Odd)",
     ):
         assert text in output
+    skipped = "parameters of /nav whose names are not valid in ROS 1: qos_overrides./scan.depth, a-b\n"
+    assert output.count("parameters of /nav") == output.count(skipped) == 1
     assert "gateway  waiting  the planner is not available" in output
     for text in ("cure: get it", "hub -> ROS 2", "queue 3, bad 1", "9.8", "12", "idle", "up 3 min", "cpu 3 %", "52 MB"):
         assert text in output

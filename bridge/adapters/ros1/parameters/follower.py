@@ -80,9 +80,12 @@ class ParameterSharing:
 
     def details(self) -> list[dict[str, Any]]:
         """Return the rules as the status document shows them."""
-        rules = [(rule, offered.count) for offered in self._offered for rule in offered.rules]
-        rules += [(mirrored.rule, mirrored.count) for mirrored in self._mirrored]
-        return [{"ros1": rule.ros1, "node": rule.node, "owner": rule.owner, "shared": count} for rule, count in rules]
+        rules = [(rule, offered.count, list[str]()) for offered in self._offered for rule in offered.rules]
+        rules += [(mirrored.rule, mirrored.count, mirrored.skipped) for mirrored in self._mirrored]
+        return [
+            {"ros1": rule.ros1, "node": rule.node, "owner": rule.owner, "shared": count, "skipped": skipped}
+            for rule, count, skipped in rules
+        ]
 
     def _submit(self, job: Callable[[], None], waits: Done | None) -> None:
         """Run a job on the thread; if its queue is full, a call ends with an error instead."""

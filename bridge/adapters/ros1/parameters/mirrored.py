@@ -18,6 +18,7 @@ from bridge.adapters.ros1.parameters.values import (
     flatten,
     to_ros1,
     to_ros2,
+    why_not_ros1,
 )
 from bridge.config.sections.routing import ParameterRule
 from bridge.hub.endpoints.calls import CallError
@@ -40,6 +41,11 @@ class MirroredNode:
     starts. A value that the node rejects is reset in ROS 1. ``wake`` schedules a comparison, and may be called from any
     thread. Unless noted, the attributes are keyed by the part of a parameter's name that follows the rule's name in
     ROS 1.
+
+    A value that ROS 1 cannot represent has no copy: a value that ROS 1 sets there is deleted, or set on the node.
+
+    Attributes:
+        skipped: the node's parameters whose names have characters that ROS 1 does not allow, sorted.
     """
 
     def __init__(self, rule: ParameterRule, context: ParameterContext, wake: Callable[[], None]) -> None:
@@ -51,7 +57,8 @@ class MirroredNode:
         self._busy = False
         self._ask_types = False
         self._declared: frozenset[str] = frozenset()
-        self._unshared: frozenset[str] = frozenset()  # names on the node that ROS 1 does not allow or the rule excludes
+        self.skipped: list[str] = []
+        self._unheld: frozenset[str] = frozenset()  # parameters whose values ROS 1 cannot represent
         self._agreed: _Values = {}  # the values that both sides had at the last comparison
         self._unknown: frozenset[str] = frozenset()
         self._problems: dict[str, str] = {}  # problems of the last comparison, by the name in ROS 1
@@ -61,7 +68,7 @@ class MirroredNode:
     @property
     def count(self) -> int:
         """Number of shared parameters."""
-        return len(self._agreed)
+        return len(self._agreed.keys() - self._unheld)
 
     @property
     def troubles(self) -> dict[str, str]:
@@ -104,6 +111,7 @@ class MirroredNode:
         """Drop the state and the problems of a node that has ended."""
         self._agreed, self._unknown = {}, frozenset()
         self._problems, self._rejected = {}, {}
+        self.skipped, self._unheld = [], frozenset()
 
     def _call(self, service: str, request: Mapping[str, Any], then: Callable[[dict[str, Any]], bool]) -> None:
         """Call a service of the node.
@@ -133,7 +141,7 @@ class MirroredNode:
 
     def _on_names(self, response: Mapping[str, Any]) -> bool:
         names = [name for name in response["result"]["names"] if self._names.rest(name) is not None]
-        self._unshared = frozenset(response["result"]["names"]) - set(names)
+        self.skipped = sorted(filter(self._names.is_skipped, response["result"]["names"]))
         self._declared = frozenset(self._names.rest(name) or "" for name in names)
         if self._ask_types:
             self._call("get_parameter_types", {"names": names}, lambda types: self._ask_values(names, types["types"]))
@@ -157,18 +165,19 @@ class MirroredNode:
         node = {path: value for path, value in zip(paths, values, strict=True) if value != NOT_SET}
         ros1 = dict(flatten(self._store.watch([self.rule.ros1])[self.rule.ros1]))
         self._found = {}
-        shown = self._representable(node)
+        held, unheld = self._representable(node)
         foreign = frozenset(key for key in self._store.copies if not self.covers(key))
         leaves = {self._names.ros1(path) for path in ros1}
         # Deletions come first: a name without a value may become the namespace of others.
-        old = (self._store.copies - foreign - {self._names.ros1(path) for path in shown}) & leaves
+        old = (self._store.copies - foreign - {self._names.ros1(path) for path in held}) & leaves
         writes: dict[str, Any] = dict.fromkeys(old)
-        shown = self._unobstructed(shown, leaves, old)
-        copies = {self._names.ros1(path) for path in shown}
+        held = self._unobstructed(held, leaves, old)
+        copies = {self._names.ros1(path) for path in held}
+        shown, self._unheld = unheld | held, frozenset(unheld)
         self._agreed = {path: value for path, value in self._agreed.items() if path in shown}
         self._rejected = {key: reason for key, reason in self._rejected.items() if self._is_declared(key)}
         changes = self._compare(shown, ros1, writes)
-        unset = self._unset(node, {path: value for path, value in ros1.items() if self._names.ros1(path) not in writes})
+        unset = self._unset(node, ros1, writes)
         self._report_unknown(ros1)
         self._problems = self._found
         for key in self._store.copy(writes, foreign | copies):
@@ -179,28 +188,35 @@ class MirroredNode:
             return True
         return self._set(shown, changes)
 
-    def _representable(self, node: _Values) -> _Values:
-        """Return the values that ROS 1 can represent; there, no name can be both a value and a namespace."""
-        shown: _Values = {}
+    def _representable(self, node: _Values) -> tuple[_Values, _Values]:
+        """Return the values that ROS 1 can represent, and those that it cannot represent but whose names it allows.
+
+        In ROS 1, no name can be both a value and a namespace.
+        """
+        held, unheld = _Values(), _Values()
         for path, value in sorted(node.items()):  # a name comes before the names below it
-            key = self._names.ros1(path)
-            above = next((outer for outer in _outer(path) if outer in shown), None)
+            above = next((outer for outer in _outer(path) if outer in held), None)
             if above is not None:
-                self._found[key] = (
-                    f"not copied, since {self._names.ros1(above)} has a value and ROS 1 does not allow names below it;"
+                reason = (
+                    f"{self._names.ros1(above)} has a value and ROS 1 does not allow names below it;"
                     " choose between them with 'names' in routing.parameters"
                 )
-                continue
-            if path.count("/") >= MAX_DEPTH:
-                self._found[key] = f"not copied, since its name has more than {MAX_DEPTH} parts"
-                continue
-            try:
-                to_ros1(value)
-            except UnrepresentableError as err:
-                self._found[key] = str(err)
+            elif path.count("/") >= MAX_DEPTH:
+                reason = f"its name has more than {MAX_DEPTH} parts"
+            elif reason := why_not_ros1(value):
+                unheld[path] = value
             else:
-                shown[path] = value
-        return shown
+                held[path] = value
+                continue
+            self._found[self._names.ros1(path)] = self._not_copied(path, reason)
+        return held, unheld
+
+    def _not_copied(self, path: str, reason: str) -> str:
+        return f"{self._on_node(path)} is not copied, since {reason}"
+
+    def _on_node(self, path: str) -> str:
+        """Return a parameter's name on the node, for messages that begin with its name in ROS 1."""
+        return f"{self._names.ros2(path)} of {self.rule.node}"
 
     def _unobstructed(self, shown: _Values, leaves: Collection[str], old: Collection[str]) -> _Values:
         """Return the values that overwrite no other names in ROS 1, except those that replaced a copy.
@@ -213,42 +229,49 @@ class MirroredNode:
             return shown
         taken = self._store.taken(old)
         obstacles = {path: reason for path, key in new.items() if (reason := taken.obstacle(key))}
-        self._found |= {new[path]: f"not copied, since {reason}" for path, reason in obstacles.items()}
+        self._found |= {new[path]: self._not_copied(path, reason) for path, reason in obstacles.items()}
         return {path: value for path, value in shown.items() if path not in obstacles}
 
     def _compare(self, shown: _Values, ros1: Mapping[str, Any], writes: dict[str, Any]) -> _Values:
-        """Add the node's values that ROS 1 lacks to ``writes``; return ROS 1's changes, which the node should get."""
+        """Add what ROS 1 should have instead to ``writes``; return ROS 1's changes, which the node should get."""
         changes: _Values = {}
         for path, value in shown.items():
             key, agreed = self._names.ros1(path), self._agreed.get(path)
-            theirs = self._converted(key, ros1[path], value.kind) if path in ros1 else None
+            theirs = self._converted(path, ros1[path], value.kind) if path in ros1 else None
             if theirs is not None and theirs != value and agreed == value:
                 if self.rule.write:
                     changes[path] = theirs
                     continue
-                self._reject(key, f"{theirs.content!r} is not set on {self.rule.node}: {_READ_ONLY}")
+                self._reject(key, f"{self._on_node(path)} does not get {theirs.content!r}: {_READ_ONLY}")
             elif agreed != value:
                 self._rejected.pop(key, None)
             self._agreed[path] = value
-            if theirs != value:
+            if path in self._unheld:
+                if path in ros1 and key not in writes:
+                    writes[key] = None
+                    if key not in self._rejected:
+                        _log.warning("parameter %s is deleted in ROS 1: %s", key, self._found[key])
+            elif theirs != value:
                 writes[key] = to_ros1(value)
         return changes
 
-    def _converted(self, key: str, value: Any, kind: ParameterType) -> ParameterValue | None:
+    def _converted(self, path: str, value: Any, kind: ParameterType) -> ParameterValue | None:
         """Convert a value of ROS 1 to the type of the node's parameter; None if that type has no such value."""
         try:
             return to_ros2(value, kind)
         except UnrepresentableError as err:
-            self._reject(key, f"the value set in ROS 1 is not set on {self.rule.node}: {err}")
+            self._reject(self._names.ros1(path), f"{self._on_node(path)} does not get the value set in ROS 1: {err}")
             return None
 
-    def _unset(self, node: _Values, ros1: Mapping[str, Any]) -> dict[str, Any]:
-        """Return ROS 1's values of parameters that the node has declared but not set."""
-        unset = {path: ros1[path] for path in sorted(self._declared - node.keys()) if path in ros1}
+    def _unset(self, node: _Values, ros1: Mapping[str, Any], writes: dict[str, Any]) -> dict[str, Any]:
+        """Return ROS 1's values of parameters that the node has declared but not set, or delete them by ``writes``."""
+        unset = {path: self._names.ros1(path) for path in sorted(self._declared - node.keys()) if path in ros1}
+        unset = {path: key for path, key in unset.items() if key not in writes}
         if self.rule.write:
-            return unset
-        reason = f"{self.rule.node} has not set it, and does not get ROS 1's value: {_READ_ONLY}"
-        self._found |= {self._names.ros1(path): reason for path in unset}
+            return {path: ros1[path] for path in unset}
+        for path, key in unset.items():
+            self._reject(key, f"{self._on_node(path)} has no value, and does not get ROS 1's: {_READ_ONLY}")
+            writes[key] = None
         return {}
 
     def _report_unknown(self, ros1: Mapping[str, Any]) -> None:
@@ -258,19 +281,18 @@ class MirroredNode:
             path for path in ros1 if path not in self._declared and self._names.covers(path) and self._names.ros2(path)
         } - {path for path in ros1 if self._names.ros1(path) in self._store.copies}
         for path in unknown:
-            name = self._names.ros2(path)
-            if name in self._unshared:
-                self._found[self._names.ros1(path)] = (
-                    f"set in ROS 1, but not on {self.rule.node}: only names of letters, digits and underscores are"
-                    " shared"
-                )
-                continue
-            similar = get_close_matches(name, known, n=1)
-            hint = f" (similar: {similar[0]})" if similar else ""
-            self._found[self._names.ros1(path)] = (
-                f"set in ROS 1, but {self.rule.node} has no parameter {name}{hint}; delete it in ROS 1, or exclude it"
-                " with 'names' in routing.parameters"
-            )
+            name, intended = self._names.ros2(path), self._names.intended(path)
+            if name in self.skipped:
+                reason = f"not on {self.rule.node}: only names of letters, digits and underscores are shared"
+            else:
+                similar = get_close_matches(name, known, n=1)
+                hint = f" (similar: {similar[0]})" if similar else ""
+                reason = f"{self.rule.node} has no parameter {name}{hint}"
+                if intended is not None:
+                    verb = "is" if intended in self._declared else "would be"
+                    reason = f"the parameter {name} of {self.rule.node} {verb} {self._names.ros1(intended)} there"
+                reason += "; delete it in ROS 1, or exclude it with 'names' in routing.parameters"
+            self._found[self._names.ros1(path)] = f"set in ROS 1, but {reason}"
         new = sorted(self._names.ros1(path) for path in unknown - self._unknown)
         if new:
             more = f" and {len(new) - _LOGGED} more" if len(new) > _LOGGED else ""
@@ -285,7 +307,7 @@ class MirroredNode:
         writes: dict[str, Any] = {}
         for (path, value), descriptor in zip(unset.items(), response["descriptors"], strict=False):
             key = self._names.ros1(path)
-            change = self._converted(key, value, _kind(descriptor["type"]))
+            change = self._converted(path, value, _kind(descriptor["type"]))
             if change is None:
                 writes[key] = None
             else:
@@ -311,8 +333,8 @@ class MirroredNode:
                 self._agreed[path] = change
                 continue
             reason = result["reason"] or "no reason given"
-            self._reject(key, f"{self.rule.node} rejected {change.content!r}: {reason}")
-            writes[key] = to_ros1(shown[path]) if path in shown else None
+            self._reject(key, f"{self.rule.node} rejected {change.content!r} for {self._names.ros2(path)}: {reason}")
+            writes[key] = to_ros1(shown[path]) if path in shown.keys() - self._unheld else None
         self._store.write(writes)
         return False
 

@@ -90,10 +90,15 @@ class OfferedNode:
         for names in reversed(self._names):
             for path, value in flatten(trees.get(names.rule.ros1, {})):
                 if names.covers(path) and names.ros2(path):
+                    if intended := names.intended(path):
+                        self.troubles[names.ros1(path)] = (
+                            f"not on {self.node}, where {names.ros2(path)} is {names.ros1(intended)} of ROS 1"
+                        )
+                        continue
                     try:
                         yield names.ros2(path), to_ros2(value)
                     except UnrepresentableError as err:
-                        self.troubles[names.ros1(path)] = str(err)
+                        self.troubles[names.ros1(path)] = f"not on {self.node} as {names.ros2(path)}: {err}"
 
     def _read(self) -> dict[str, ParameterValue]:
         return dict(self._parameters(self._store.watch([rule.ros1 for rule in self.rules])))

@@ -27,10 +27,12 @@ def copies_parameter(owner: str) -> str:
     return f"/midspan/parameters/daemon_{owner}"
 
 
-def removal_calls(caller: str, owner: str, listed: object) -> list[Call]:
-    """Return the calls that delete a daemon's copies and their list; ``listed`` is the value of `copies_parameter`."""
-    names = sorted(_names(listed))
-    return [("deleteParam", (caller, name)) for name in [*names, copies_parameter(owner)]] if names else []
+_NAMESPACES = "/midspan/namespaces"
+
+
+def namespaces_parameter(owner: str) -> str:
+    """Return the name of the parameter that lists the namespaces that a daemon's copies have created."""
+    return f"{_NAMESPACES}/daemon_{owner}"
 
 
 def _names(listed: object) -> frozenset[str]:
@@ -71,6 +73,10 @@ class TakenNames:
         self._names.add(name)
         self._namespaces.update(_above(name))
 
+    def __contains__(self, name: str) -> bool:
+        """Return whether a name has a value, or is a namespace with values."""
+        return name in self._names or name in self._namespaces
+
     def obstacle(self, name: str) -> str:
         """Return why setting a name would overwrite other names' values; "" if it would not."""
         if name in self._namespaces:
@@ -91,6 +97,7 @@ class ParameterServer:
 
     Attributes:
         copies: names of the copies of ROS 2 parameters that this daemon has set, including those of earlier processes.
+        namespaces: names of the namespaces that did not exist before these copies.
     """
 
     def __init__(self, uri: str, caller: Callable[[], str], slave: str, owner: str) -> None:
@@ -98,6 +105,7 @@ class ParameterServer:
         self._client = XmlRpcClient(uri, _TIMEOUT)
         self._watched: set[str] = set()
         self.copies: frozenset[str] = frozenset()
+        self.namespaces: frozenset[str] = frozenset()
 
     def watch(self, keys: Sequence[str]) -> dict[str, Any]:
         """Read parameters or namespaces ({} if not set), and subscribe to changes of them and of the keys below them.
@@ -108,13 +116,12 @@ class ParameterServer:
         self._watched |= set(keys)
         me = self._caller()
         calls: list[Call] = [("subscribeParam", (me, self._slave, key)) for key in keys]
-        listed_call: Call = ("getParam", (me, copies_parameter(self._owner)))
         try:
-            *values, listed = self._client.calls([*calls, listed_call])
+            *values, copies, namespaces = self._client.calls([*calls, *self._lists()])
         except _UNREADABLE:  # one such value makes the whole response invalid
-            (listed,) = self._client.calls([listed_call])
+            copies, namespaces = self._client.calls(self._lists())
             values = [self._read_one(call) for call in calls]
-        self.copies = _names(listed)
+        self.copies, self.namespaces = _names(copies), _names(namespaces)
         return dict(zip(keys, values, strict=True))
 
     def _read_one(self, call: Call) -> Any:
@@ -164,27 +171,56 @@ class ParameterServer:
         set.
         """
         listed = frozenset(copies)
+        self._list_namespaces(self.namespaces | self._own_namespaces(listed - self.copies))
         self._list(self.copies | listed)
         unlisted = [key for key, value in values.items() if value is not None and key not in self.copies]
         refused = self.write({key: value for key, value in values.items() if key not in unlisted})
         self._list(listed)
+        if self.namespaces and None in values.values():
+            self._delete_empty()
         return [*unlisted, *refused]
+
+    def _lists(self) -> list[Call]:
+        """Return the calls that read this daemon's lists."""
+        return [("getParam", (self._caller(), of(self._owner))) for of in (copies_parameter, namespaces_parameter)]
 
     def _list(self, copies: frozenset[str]) -> None:
         if copies != self.copies and not self.write({copies_parameter(self._owner): sorted(copies) or None}):
             self.copies = copies
 
-    def close(self) -> None:
-        """Delete the listed copies, and unsubscribe."""
+    def _list_namespaces(self, names: frozenset[str]) -> None:
+        if names != self.namespaces and not self.write({namespaces_parameter(self._owner): sorted(names) or None}):
+            self.namespaces = names
+
+    def _own_namespaces(self, new: Collection[str]) -> frozenset[str]:
+        """Return the namespaces of new copies that the master lacks, or that another Midspan has listed."""
+        names = sorted({outer for key in new for outer in _above(key)} - self.namespaces)
+        if not names:
+            return frozenset()
         me = self._caller()
-        calls: list[Call] = [("unsubscribeParam", (me, self._slave, key)) for key in sorted(self._watched)]
+        checks: list[Call] = [("hasParam", (me, name)) for name in names]
+        *present, lists = self._client.calls([*checks, ("getParam", (me, _NAMESPACES))])
+        listed = frozenset[str]().union(*map(_names, lists.values() if isinstance(lists, dict) else ()))
+        return frozenset(name for name, exists in zip(names, present, strict=True) if not exists or name in listed)
+
+    def _delete_empty(self) -> None:
+        """Delete the listed namespaces without values, which a master keeps."""
+        taken = self.taken()
+        empty = frozenset(name for name in self.namespaces if name not in taken)
+        self.write(dict.fromkeys(sorted(empty, reverse=True)))
+        self._list_namespaces(self.namespaces - empty)
+
+    def close(self) -> None:
+        """Delete the listed copies and the namespaces that only they needed, and unsubscribe."""
+        me = self._caller()
         self._client.close()
-        client = XmlRpcClient(self._uri, _STOP_TIMEOUT)
-        with contextlib.closing(client), contextlib.suppress(Ros1Error):
-            (listed,) = client.calls([("getParam", (me, copies_parameter(self._owner)))])
-            calls += removal_calls(me, self._owner, listed)
-            if calls:
-                client.calls(calls)
+        self._client = XmlRpcClient(self._uri, _STOP_TIMEOUT)
+        with contextlib.closing(self._client), contextlib.suppress(Ros1Error):
+            unsubscribe: list[Call] = [("unsubscribeParam", (me, self._slave, key)) for key in sorted(self._watched)]
+            *_, copies, namespaces = self._client.calls([*unsubscribe, *self._lists()])
+            self.copies, self.namespaces = _names(copies), _names(namespaces)
+            self.copy(dict.fromkeys(sorted(self.copies)), ())
+            self._list_namespaces(frozenset())
 
 
 Submit = Callable[[Callable[[], None], Done | None], None]

@@ -109,10 +109,19 @@ def to_ros1(value: ParameterValue) -> Any:
         return xmlrpc.client.Binary(content)
     for item in content if isinstance(content, list) else [content]:
         if isinstance(item, int) and item not in _INT32:
-            raise UnrepresentableError(f"ROS 1 has no integer as large as {item}")
+            raise UnrepresentableError(f"{item} does not fit into ROS 1's 32-bit integers")
         if isinstance(item, str) and _NO_XML.search(item):
             raise UnrepresentableError("its text has characters that ROS 1's XML cannot carry")
     return content
+
+
+def why_not_ros1(value: ParameterValue) -> str:
+    """Return why ROS 1's parameter server cannot have a value; "" if it can."""
+    try:
+        to_ros1(value)
+    except UnrepresentableError as err:
+        return str(err)
+    return ""
 
 
 def to_ros2(value: Any, like: ParameterType = ParameterType.NOT_SET) -> ParameterValue:
@@ -195,14 +204,32 @@ class ParameterNames:
 
     def rest(self, ros2_name: str) -> str | None:
         """Return the path of a node's parameter; None if the rule excludes it, or its name is not valid in ROS 1."""
-        name, prefix = ros2_name, self.rule.prefix
-        if prefix:
-            if name != prefix and not name.startswith(f"{prefix}."):
-                return None
-            name = name.removeprefix(prefix).removeprefix(".")
-        elif not name:
-            return None
-        if name and not all(_PART.fullmatch(part) for part in name.split(".")):
+        name = self._after_prefix(ros2_name)
+        if name is None or not _is_valid(name):
             return None
         rest = name.replace(".", "/")
         return rest if self.covers(rest) else None
+
+    def is_skipped(self, ros2_name: str) -> bool:
+        """Return whether the rule covers a node's parameter whose name is not valid in ROS 1."""
+        name = self._after_prefix(ros2_name)
+        return name is not None and not _is_valid(name) and self.covers(name.replace(".", "/"))
+
+    def intended(self, path: str) -> str | None:
+        """Return the path with slashes for ``a.b``, with which it would be shared; None for a path without dots."""
+        path_of_node = self.rest(self.ros2(path))
+        return path_of_node if path_of_node != path else None
+
+    def _after_prefix(self, ros2_name: str) -> str | None:
+        """Return the part of a node's parameter after the rule's prefix; None if it does not have the prefix."""
+        prefix = self.rule.prefix
+        if not prefix:
+            return ros2_name or None
+        if ros2_name != prefix and not ros2_name.startswith(f"{prefix}."):
+            return None
+        return ros2_name.removeprefix(prefix).removeprefix(".")
+
+
+def _is_valid(name: str) -> bool:
+    """Return whether each part of a node's parameter can be a part of a name in ROS 1."""
+    return not name or all(_PART.fullmatch(part) for part in name.split("."))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import threading
 import time
 import urllib.request
@@ -15,12 +16,13 @@ from typing import Any, Protocol
 import pytest
 
 from bridge.adapters.ros1.parameters.follower import ParameterSharing
-from bridge.adapters.ros1.parameters.store import ParameterServer, copies_parameter
+from bridge.adapters.ros1.parameters.store import ParameterServer, copies_parameter, namespaces_parameter
 from bridge.adapters.ros1.parameters.values import (
     MAX_DEPTH,
     NOT_SET,
     ParameterType,
     ParameterValue,
+    to_ros2,
 )
 from bridge.config.sections.routing import ParameterRule
 from bridge.hub.session import Hub
@@ -140,7 +142,7 @@ def test_ros1_parameters_appear_on_a_node(master: RosMaster, hubs: tuple[Hub, Hu
         (2, True, "ROS 1 parameter /own_one"),
     ]
     until(lambda: any("/own/odd" in warning for warning in parameters.warnings()), "the odd list is reported")
-    all_shared = {"ros1": "/own", "node": "/ns/own_node", "owner": "ros1", "shared": 4}
+    all_shared = {"ros1": "/own", "node": "/ns/own_node", "owner": "ros1", "shared": 4, "skipped": []}
     until(lambda: parameters.details()[0] == all_shared, "the comparison has found all parameters")
 
 
@@ -159,7 +161,7 @@ def test_a_ros2_node_sets_ros1_parameters(master: RosMaster, hubs: tuple[Hub, Hu
     assert [item["reason"] for item in results if item["reason"]] == [
         "no rule of routing.parameters shares fixed",
         "/set/below is a namespace in ROS 1",
-        "below.x: ROS 1 has no integer as large as 1099511627776",
+        "below.x: 1099511627776 does not fit into ROS 1's 32-bit integers",
     ]
     assert master.call("getParam", "/set") == {"speed": 2.5, "below": {"x": 1}, "fixed": 7, "new": "there"}
     both = {"speed": ParameterValue(ParameterType.DOUBLE, 9.0), "nobody": ParameterValue(ParameterType.DOUBLE, 9.0)}
@@ -216,11 +218,11 @@ def test_a_copy_does_not_overwrite_values_above_or_below_its_name(
     assert master.call("getParam", "/top") == 3
     assert master.call("getParam", "/robots/base") == {**before, "turn": 2.5}
     problems = {warning for warning in parameters.warnings() if "not copied" in warning}
-    no_names = "has a value, and ROS 1 does not allow names below it"
+    no_names, mode = "has a value, and ROS 1 does not allow names below it", "/robots/base/mode"
     assert problems == {
-        f"parameter /top/below/speed: not copied, since /top {no_names}",
-        f"parameter /robots/base/speed/max: not copied, since /robots/base/speed {no_names}",
-        "parameter /robots/base/mode: not copied, since /robots/base/mode is a namespace in ROS 1",
+        f"parameter /top/below/speed: speed of /top_node is not copied, since /top {no_names}",
+        f"parameter /robots/base/speed/max: speed.max of /base_node is not copied, since /robots/base/speed {no_names}",
+        f"parameter {mode}: mode of /base_node is not copied, since {mode} is a namespace in ROS 1",
     }
     master.call("deleteParam", "/top")
     until(lambda: master.call("getParam", "/top") == {"below": {"speed": 0.5}}, "a name without an obstacle is copied")
@@ -243,7 +245,7 @@ def test_a_value_that_the_master_cannot_send_is_reported_alone(
         client = ParameterClient(hubs[1], "/odd_node")
         assert client.get("speed", "below.value") == [1.5, None]
         assert ParameterClient(hubs[1], "/even_node").get("speed") == [2.5]
-        warning = "parameter /odd/below/value: its value cannot be read from the master"
+        warning = "parameter /odd/below/value: not on /odd_node as below.value: its value cannot be read"
         until(lambda: [w.startswith(warning) for w in parameters.warnings()] == [True], "only the value is reported")
         assert client.set(below__value=ParameterValue(ParameterType.INTEGER, 3))["results"][0]["successful"]
         until(lambda: not parameters.warnings(), "the report ends")
@@ -333,14 +335,15 @@ def test_a_nodes_parameters_are_copied_to_ros1(master: RosMaster, hubs: tuple[Hu
     parameters = share(rule("ros2", "/kept", "/kept_node", prefix="FollowPath"))
     want = {"mine": 1, "speed": 1.5, "inner": {"frame": "odom"}}
     until(lambda: master.call("getParam", "/kept") == want, "the node's values are in ROS 1")
-    assert any("/kept/huge: ROS 1 has no integer" in warning for warning in parameters.warnings())
+    why = "/kept/huge: FollowPath.huge of /kept_node is not copied, since 1099511627776 does not fit"
+    assert any(why in warning for warning in parameters.warnings())
     node.values["FollowPath.speed"] = ParameterValue(ParameterType.DOUBLE, 2.5)
     until(lambda: master.call("getParam", "/kept/speed") == 2.5, "the node's change is in ROS 1")
     del node.values["FollowPath.inner.frame"]
-    until(lambda: master.call("getParam", "/kept/inner/frame") is None, "the dropped parameter is deleted")
+    until(lambda: master.call("getParam", "/kept/inner") is None, "the dropped parameter and its namespace are deleted")
     assert node.set == []
     parameters.stop()
-    assert master.call("getParam", "/kept").keys() <= {"mine", "inner"}
+    assert master.call("getParam", "/kept") == {"mine": 1}
 
 
 @needs_ros1
@@ -369,7 +372,9 @@ def test_a_value_that_is_also_a_prefix_is_copied_without_the_names_below_it(
     problems = parameters.warnings()
     for key, above in (("/hdr/exposure/1", "/hdr/exposure"), ("/hdr/exposure/a/b", "/hdr/exposure"),
                        ("/single/max", "/single")):  # fmt: skip
-        assert any(item.startswith(f"parameter {key}: not copied, since {above} has a value") for item in problems), key
+        name = key.removeprefix("/hdr/").replace("/", ".").replace(".single.", "limits.speed.")
+        text = f"parameter {key}: {name} of {'/hdr' if 'hdr' in key else '/single'} is not copied, since {above} has a"
+        assert any(item.startswith(text) for item in problems), key
     del hdr.values["exposure"]
     until(lambda: master.call("getParam", "/hdr") == {"exposure": {"1": 100, "a": {"b": 5}}}, "the names below appear")
     hdr.values["exposure"] = integer(50)
@@ -388,7 +393,7 @@ def test_a_name_of_too_many_parts_is_not_copied(master: RosMaster, hubs: tuple[H
     until(lambda: node.asked > request + 3, "several comparisons are made")
     assert store.written == written, "nothing is written again"
     assert "b" not in master.call("getParam", "/deep")
-    assert any(f"not copied, since its name has more than {MAX_DEPTH} parts" in w for w in parameters.warnings())
+    assert any(f"is not copied, since its name has more than {MAX_DEPTH} parts" in w for w in parameters.warnings())
 
 
 @needs_ros1
@@ -429,17 +434,21 @@ def test_copies_of_another_daemon_are_deleted_by_its_successor(master: RosMaster
     del node.values["speed"]
     until(lambda: master.call("getParam", "/taken/speed") is None, "the parameter that the node dropped is deleted")
     second.stop()
-    assert master.call("getParam", "/taken") == {}
+    assert master.call("getParam", "/taken") is None, "the successor also adopts the namespace"
 
 
 @needs_ros1
 def test_copies_of_a_killed_process_are_deleted_without_rules(master: RosMaster, tmp_path: Path):
     (tmp_path / "ros1.json").write_text(json.dumps({"owner": "5e1f", "last": None}))
     master.call("setParam", "/unruled", {"gain": 1.0, "mine": 1})
-    master.call("setParam", copies_parameter("5e1f"), ["/unruled/gain"])
+    master.call("setParam", "/unruled_too/gain", 1.0)
+    master.call("setParam", copies_parameter("5e1f"), ["/unruled/gain", "/unruled_too/gain"])
+    master.call("setParam", namespaces_parameter("5e1f"), ["/unruled_too"])
     with edge_on(master, tmp_path, node="unruled"):
         until(lambda: master.call("getParam", copies_parameter("5e1f")) is None, "the copies are deleted")
+        until(lambda: master.call("getParam", namespaces_parameter("5e1f")) is None, "their namespace is deleted")
         assert master.call("getParam", "/unruled") == {"mine": 1}
+        assert master.call("getParam", "/unruled_too") is None
 
 
 @needs_ros1
@@ -478,6 +487,103 @@ def test_a_name_that_is_not_shared_is_not_reported_as_missing(master: RosMaster,
         " are shared"
     )
     until(lambda: parameters.warnings() == [want], "the parameter is reported")
+    assert parameters.details()[0]["skipped"] == ["a-b"]
+
+
+@needs_ros1
+def test_a_dot_in_a_name_of_ros1_is_reported(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
+    """The node's parameter `exposure.1` is `exposure/1` in ROS 1."""
+    ParameterNode(hubs[1], "/camera", exposure__1=integer(100))
+    parameters = share(rule("ros2", "/cam", "/camera"), rule("ros1", "/lens", "/lens_node"))
+    until(lambda: master.call("getParam", "/cam") == {"exposure": {"1": 100}}, "the parameter is in ROS 1")
+    for name in ("/cam/exposure.1", "/cam/gain.1", "/lens/focus.1"):
+        master.call("setParam", name, 5)
+    cure = "delete it in ROS 1, or exclude it with 'names' in routing.parameters"
+    want = [
+        "parameter /lens/focus.1: not on /lens_node, where focus.1 is /lens/focus/1 of ROS 1",
+        "parameter /cam/exposure.1: set in ROS 1, but the parameter exposure.1 of /camera is /cam/exposure/1 there; "
+        + cure,
+        f"parameter /cam/gain.1: set in ROS 1, but the parameter gain.1 of /camera would be /cam/gain/1 there; {cure}",
+    ]
+    until(lambda: parameters.warnings() == want, "the names are reported")
+    client = ParameterClient(hubs[1], "/lens_node")
+    assert client.get("focus.1") == [None]
+    assert client.set(focus__1=integer(7))["results"][0]["successful"]
+    assert client.get("focus.1") == [7]
+    assert master.call("getParam", "/lens") == {"focus.1": 5, "focus": {"1": 7}}
+
+
+@needs_ros1
+@pytest.mark.parametrize("write", [True, False])
+def test_ros1_never_keeps_another_value_than_the_nodes(
+    master: RosMaster, hubs: tuple[Hub, Hub], share: Share, caplog: pytest.LogCaptureFixture, write: bool
+):
+    """Of values that ROS 1 can represent it has the copy, of others none."""
+    name = f"/other_{write}".lower()
+    odd = {
+        "huge": integer(2**40), "sizes": ParameterValue(ParameterType.INTEGER_ARRAY, [1, -(2**31) - 1]),
+        "text": ParameterValue(ParameterType.STRING, "\x1b"), "lost": NOT_SET,
+    }  # fmt: skip
+    fine = {
+        "data": ParameterValue(ParameterType.BYTE_ARRAY, b"\0\xff"), "nan": double(math.nan), "inf": double(math.inf),
+        "least": integer(-(2**31)),
+    }  # fmt: skip
+    node = ParameterNode(hubs[1], f"{name}_node", **odd, **fine)
+    node.refuses = {*odd, *fine}
+    for path in odd.keys() | fine.keys():
+        master.call("setParam", f"{name}/{path}", 5)
+    parameters = share(rule("ros2", name, f"{name}_node", write=write))
+
+    def is_nodes() -> bool:
+        values = master.call("getParam", name)
+        return values.keys() == fine.keys() and all(to_ros2(values[path]) == value for path, value in fine.items())
+
+    until(is_nodes, "ROS 1 has the node's values only")
+    assert sum(f"parameter {name}/huge is deleted" in text for text in caplog.messages) == 1
+    caplog.clear()
+    for path in odd.keys() | fine.keys():
+        master.call("setParam", f"{name}/{path}", 6)
+    until(is_nodes, "ROS 1 has the node's values again")
+    asked = node.asked
+    until(lambda: node.asked > asked + 2, "several comparisons are made")
+    for path in odd.keys() | fine.keys():
+        lines = [text for text in [*caplog.messages, *parameters.warnings()] if f"parameter {name}/{path}" in text]
+        assert len(lines) == 2, "one line each in the log and in the status"
+        why = rf"rejected 6(\.0)? for {path}: not now" if write else "write: false"
+        assert all(re.search(why, line) for line in lines)
+    assert parameters.details()[0]["shared"] == len(fine)
+
+
+@needs_ros1
+def test_a_value_without_a_copy_is_set_from_ros1(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
+    node = ParameterNode(hubs[1], "/big_node", big=integer(2**40), big__below=integer(1))
+    parameters = share(rule("ros2", "/big", "/big_node"))
+    until(lambda: master.call("getParam", "/big") == {"big": {"below": 1}}, "the other parameter is in ROS 1")
+    master.call("setParam", "/big/big", 5)
+    until(lambda: node.values["big"] == integer(5), "the node has ROS 1's value")
+    until(lambda: master.call("getParam", "/big") == {"big": 5}, "the value is a copy now")
+    node.values["big"] = integer(-(2**40))
+    until(lambda: master.call("getParam", "/big") == {"big": {"below": 1}}, "the copy is deleted")
+    parameters.stop()
+    assert master.call("getParam", "/big") is None
+
+
+@needs_ros1
+def test_only_namespaces_of_copies_are_deleted(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
+    node = ParameterNode(hubs[1], "/spaces_node", a__b__c=integer(1), mine__d=integer(2), used__e=integer(3))
+    master.call("setParam", "/spaces", {"mine": {}})
+    parameters = share(rule("ros2", "/spaces", "/spaces_node"), rule("ros2", "/more/spaces", "/spaces_node"))
+    wanted = {"a": {"b": {"c": 1}}, "mine": {"d": 2}, "used": {"e": 3}}
+    for name in ("/spaces", "/more/spaces"):
+        until(lambda name=name: master.call("getParam", name) == wanted, "the parameters are in ROS 1")
+    master.call("setParam", "/more/spaces/used/own", 4)
+    del node.values["a.b.c"], node.values["mine.d"]
+    left = {"mine": {}, "used": {"e": 3}}
+    until(lambda: master.call("getParam", "/spaces") == left, "the empty namespaces of copies are deleted")
+    parameters.stop()
+    assert master.call("getParam", "/spaces") == {"mine": {}}
+    assert master.call("getParam", "/more") == {"spaces": {"used": {"own": 4}}}
+    assert master.call("getParam", namespaces_parameter(OWNER)) is None
 
 
 @needs_ros1
@@ -490,10 +596,11 @@ def test_a_declared_parameter_without_a_value_is_set_from_ros1(master: RosMaster
     until(lambda: "/late/lost" in (master.call("getParam", COPIES) or ()), "the parameter is a copy now")
     master.call("setParam", "/late/mode", 5)
     until(lambda: master.call("getParam", "/late/mode") is None, "the rejected value is deleted")
-    assert any("/late/mode: /late_node rejected 5: not now" in item for item in parameters.warnings())
+    assert any("/late/mode: /late_node rejected 5 for mode: not now" in item for item in parameters.warnings())
     master.call("setParam", "/late/count", [[1]])
     until(lambda: master.call("getParam", "/late/count") is None, "the list of lists is deleted")
-    assert any("/late/count: the value set in ROS 1 is not set on /late_node" in item for item in parameters.warnings())
+    why = "/late/count: count of /late_node does not get the value set in ROS 1"
+    assert any(why in item for item in parameters.warnings())
     node.values["lost"] = NOT_SET
     until(lambda: master.call("getParam", "/late/lost") is None, "the copy is deleted, since the node has no value")
     assert node.values["lost"] == NOT_SET
@@ -541,9 +648,11 @@ def test_ros1_sets_a_nodes_parameters(master: RosMaster, hubs: tuple[Hub, Hub], 
     until(lambda: master.call("getParam", "/asked/mode") == "slow", "the rejected value is reset")
     assert ("mode", "fast") in node.set
     until(
-        lambda: any("rejected 'fast': not now" in item for item in parameters.warnings()), "the rejection is reported"
+        lambda: any("rejected 'fast' for mode: not now" in item for item in parameters.warnings()),
+        "the rejection is reported",
     )
-    assert parameters.details() == [{"ros1": "/asked", "node": "/asked_node", "owner": "ros2", "shared": 2}]
+    shared = {"ros1": "/asked", "node": "/asked_node", "owner": "ros2", "shared": 2, "skipped": []}
+    assert parameters.details() == [shared]
 
 
 @needs_ros1
