@@ -14,19 +14,16 @@ from typing import TYPE_CHECKING, Any
 
 from bridge.config.document import ConfigError, Document, KeyPath, Place, Problem, key_text, read, text_of
 from bridge.config.sections.section import is_loopback, not_one_of, zenoh_endpoint
+from bridge.config.zenoh_effects import (
+    DIALECTS, ROUTER, WORKERS, Flaw, Tree, found, shared_listeners, texts, unusable, without_router,
+)  # fmt: skip
 from bridge.config.zenoh_plugins import replacement
 
 if TYPE_CHECKING:
     from bridge.config.model import Config
 
-Tree = dict[str, Any]
-_Flaw = tuple[KeyPath, str]
-"""The place of a problem within one zenoh configuration, and its text."""
-
-_LOCAL: KeyPath = ("hub", "router_zenoh")
-_DIALECTS: KeyPath = ("zenoh", "zenoh")
-_SESSIONS: tuple[KeyPath, ...] = (("hub", "zenoh"), _DIALECTS)
-_ROUTERS: tuple[KeyPath, ...] = (_LOCAL, ("hub", "open", "zenoh"))
+_SESSIONS: tuple[KeyPath, ...] = (WORKERS, DIALECTS)
+_ROUTERS: tuple[KeyPath, ...] = (ROUTER, ("hub", "open", "zenoh"))
 
 _MOST = 20
 """Maximum number of problems that are reported for one zenoh configuration."""
@@ -36,9 +33,6 @@ _DEEPEST = 100
 
 _LEGACY: tuple[KeyPath, ...] = (("routing", "peer"), ("routing", "router", "peers_failover_brokering"))
 """Keys of zenoh before 1.10 that the parser still accepts but ignores; files for rmw_zenoh contain them."""
-
-_MAX_SESSIONS: KeyPath = ("transport", "unicast", "max_sessions")
-_PROTOCOLS: KeyPath = ("transport", "link", "protocols")
 
 _FILES = re.compile(r"(?:_certificate|_private_key|_file)$")
 
@@ -117,11 +111,11 @@ def _place_in_text(text: str, path: KeyPath) -> Place:
     return Place(text.count("\n", 0, start) + 1, start - text.rfind("\n", 0, start))
 
 
-def _of_tree(tree: Any, section: KeyPath, config: Config) -> list[_Flaw]:
+def _of_tree(tree: Any, section: KeyPath, config: Config) -> list[Flaw]:
     if not isinstance(tree, dict):
         return [((), "must be a map, for example {mode: client}")]
     plugins = tree.get("plugins")
-    flaws: list[_Flaw] = [
+    flaws: list[Flaw] = [
         (("plugins", name), replacement(name, settings if isinstance(settings, dict) else {}))
         for name, settings in (plugins.items() if isinstance(plugins, dict) else ())
     ]
@@ -129,40 +123,19 @@ def _of_tree(tree: Any, section: KeyPath, config: Config) -> list[_Flaw]:
     tree, refused = _accepted(tree)
     flaws += refused
     flaws += [flaw for flaw in _ignored(tree) if not any(path[: len(flaw[0])] == flaw[0] for path, _ in refused)]
-    flaws += _bad_endpoints(tree, local=section == _LOCAL)
+    flaws += _bad_endpoints(tree, local=section == ROUTER)
     flaws += _missing_files(tree)
     flaws += [] if flaws else _bad_dictionary(tree)
     flaws += [] if flaws else _bad_references(tree)
-    flaws += [] if flaws else _unusable(tree, section, config)
-    if section == _DIALECTS and not flaws:
-        flaws += _shared_listeners(tree, len(config.zenoh.dialects))
-        flaws += _without_router(tree) if config.zenoh.router is None else ()
+    flaws += [] if flaws else unusable(tree, section, config)
+    if section == DIALECTS and not flaws:
+        flaws += shared_listeners(tree, len(config.zenoh.dialects))
+        flaws += without_router(tree) if config.zenoh.router is None else ()
     if section in _ROUTERS and tree.get("mode", "router") != "router":
         flaws.append((("mode",), f"the mode of the daemon's router is 'router', not {tree['mode']!r}; leave it out"))
-    if section == ("hub", "zenoh") and tree.get("id"):
+    if section == WORKERS and tree.get("id"):
         flaws.append((("id",), "all sessions would have this id, and only one could join; leave it out"))
     return flaws[:_MOST]
-
-
-def _found(tree: Any, path: KeyPath) -> Any:
-    """Return the value at a path, None if there is none."""
-    for part in path:
-        tree = tree.get(part) if isinstance(tree, dict) else None
-    return tree
-
-
-def _unusable(tree: Tree, section: KeyPath, config: Config) -> Iterator[_Flaw]:
-    """Yield settings that zenoh accepts, but with which nothing would join, or nothing would be found."""
-    for path, what in ((("transport", "link", "tx", "batch_size"), "message"), (_MAX_SESSIONS, "link")):
-        if _found(tree, path) == 0:
-            yield path, f"0 permits no {what}; leave it out"
-    if section not in (("hub", "zenoh"), _LOCAL):
-        return
-    if tree.get("namespace"):
-        yield ("namespace",), "workers and commands would not find each other; 'hub.domain' separates hubs"
-    protocols, listens = _found(tree, _PROTOCOLS), config.hub.listen.partition("/")[0]
-    if protocols and listens not in protocols:
-        yield _PROTOCOLS, f"must contain {listens!r}, the protocol of 'hub.listen'"
 
 
 # -- zenoh's parser ----------------------------------------------------------------------------------------------------
@@ -187,9 +160,9 @@ def _refused(tree: Tree) -> str:
     return _refusal(partial(_zenoh().Config.from_json5, json.dumps(tree)))
 
 
-def _accepted(tree: Tree) -> tuple[Tree, list[_Flaw]]:
+def _accepted(tree: Tree) -> tuple[Tree, list[Flaw]]:
     """Return the part of a configuration that zenoh accepts, and what is wrong with the rest."""
-    flaws: list[_Flaw] = []
+    flaws: list[Flaw] = []
     while (reason := _refused(tree)) and len(flaws) < _MOST:
         path = _culprit(tree, reason)
         flaws.append((path, _explained(_value_at(tree, path), path, reason)))
@@ -258,7 +231,7 @@ def _unknown(name: str, known: list[str]) -> str:
     return f"zenoh has no key {name!r} here" + (f"; did you mean {near[0]!r}?" if near else f": {', '.join(known)}")
 
 
-def _ignored(tree: Tree) -> Iterator[_Flaw]:
+def _ignored(tree: Tree) -> Iterator[Flaw]:
     """Yield the keys that zenoh's parser ignores, lists that must be maps, and numbers that are out of range."""
     config = _zenoh().Config.from_json5(json.dumps(tree))
     for path, value, known in _differences(tree, json.loads(str(config)), ()):
@@ -292,10 +265,10 @@ def _differences(given: Any, read: Any, path: KeyPath) -> Iterator[tuple[KeyPath
 # -- what the parser does not check ------------------------------------------------------------------------------------
 
 
-def _bad_endpoints(tree: Tree, *, local: bool) -> Iterator[_Flaw]:
+def _bad_endpoints(tree: Tree, *, local: bool) -> Iterator[Flaw]:
     for part in ("listen", "connect"):
         section = tree.get(part)
-        for path, text in _texts(section.get("endpoints") if isinstance(section, dict) else None, (part, "endpoints")):
+        for path, text in texts(section.get("endpoints") if isinstance(section, dict) else None, (part, "endpoints")):
             try:
                 zenoh_endpoint(text)
                 if local and not is_loopback(text):
@@ -304,39 +277,12 @@ def _bad_endpoints(tree: Tree, *, local: bool) -> Iterator[_Flaw]:
                 yield path, str(err)
 
 
-def _texts(value: Any, path: KeyPath) -> Iterator[tuple[KeyPath, str]]:
-    if isinstance(value, str):
-        yield path, value
-    elif isinstance(value, dict | list):
-        for part, inner in value.items() if isinstance(value, dict) else enumerate(value):
-            if part != "strategy":
-                yield from _texts(inner, (*path, part))
-
-
-def _shared_listeners(tree: Tree, sessions: int) -> Iterator[_Flaw]:
-    """Yield the listeners with a fixed port, which only the session of one dialect can open."""
-    for path, text in _texts((tree.get("listen") or {}).get("endpoints"), ("listen", "endpoints")):
-        if sessions > 1 and not re.search(r":0(?:[?#]|$)", text):
-            yield (
-                path,
-                f"only one of the {sessions} dialects could listen at {text}; use port 0, or connect to a router",
-            )
-
-
-def _without_router(tree: Tree) -> Iterator[_Flaw]:
-    """Yield a flaw for a client that cannot find a router: it has no endpoint, and Midspan turns scouting off."""
-    connect, multicast = tree.get("connect") or {}, (tree.get("scouting") or {}).get("multicast") or {}
-    endpoints = next(_texts(connect.get("endpoints"), ()), None)
-    if tree.get("mode") == "client" and endpoints is None and not multicast.get("enabled"):
-        yield ("mode",), "a client needs the address of its router: set zenoh.router, or 'connect: {endpoints: [...]}'"
-
-
-def _missing_files(tree: Tree) -> Iterator[_Flaw]:
+def _missing_files(tree: Tree) -> Iterator[Flaw]:
     """Yield the absolute paths in ``transport`` that do not exist or are folders.
 
     Relative paths are not checked: they depend on the worker's working directory.
     """
-    for path, text in _texts(tree.get("transport"), ("transport",)):
+    for path, text in texts(tree.get("transport"), ("transport",)):
         if _FILES.search(str(path[-1])) and Path(text).is_absolute():
             try:
                 if stat.S_ISDIR(Path(text).stat().st_mode):
@@ -347,7 +293,7 @@ def _missing_files(tree: Tree) -> Iterator[_Flaw]:
                 continue
 
 
-def _bad_dictionary(tree: Tree) -> Iterator[_Flaw]:
+def _bad_dictionary(tree: Tree) -> Iterator[Flaw]:
     """Yield the first line of the dictionary of users that is not ``user:password``; it is not shown, it is secret."""
     path = ("transport", "auth", "usrpwd", "dictionary_file")
     file: Any = tree
@@ -376,7 +322,7 @@ _ITEMS: tuple[KeyPath, ...] = (
 """Lists whose items have an ``id`` that is unique in the list."""
 
 
-def _bad_references(tree: Tree) -> Iterator[_Flaw]:
+def _bad_references(tree: Tree) -> Iterator[Flaw]:
     """Yield the errors that zenoh finds only when it opens a session: in ids, references to ids, and options.
 
     ``tree`` is a configuration that the parser accepts.
