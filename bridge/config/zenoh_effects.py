@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from bridge.config.document import KeyPath
+from bridge.config.sections.section import is_loopback
 
 if TYPE_CHECKING:
     from bridge.config.model import Config
@@ -17,27 +18,97 @@ Flaw = tuple[KeyPath, str]
 
 WORKERS: KeyPath = ("hub", "zenoh")
 ROUTER: KeyPath = ("hub", "router_zenoh")
+OPEN: KeyPath = ("hub", "open", "zenoh")
 DIALECTS: KeyPath = ("zenoh", "zenoh")
 
-_MAX_SESSIONS: KeyPath = ("transport", "unicast", "max_sessions")
+_LEAST: tuple[tuple[KeyPath, int, str], ...] = (
+    (("transport", "link", "tx", "batch_size"), 32, "message"),
+    (("transport", "link", "tx", "keep_alive"), 1, "link"),
+    (("transport", "unicast", "accept_pending"), 1, "link"),
+    (("transport", "unicast", "max_sessions"), 1, "link"),
+    (("transport", "unicast", "open_timeout"), 1, "link"),
+)
+"""Numbers with their least useful value, and what lower values prevent (tried with zenoh 1.10.2)."""
+
 _PROTOCOLS: KeyPath = ("transport", "link", "protocols")
+_GOSSIP: KeyPath = ("scouting", "gossip", "enabled")
+_PEERS: KeyPath = ("listen", "endpoints")
+_MEETING: dict[KeyPath, tuple[KeyPath, str]] = {
+    WORKERS: (("connect", "endpoints"), "the workers would not reach the daemon's router"),
+    ROUTER: (("listen", "endpoints"), "workers and commands would not reach the router"),
+    OPEN: (("connect", "endpoints"), "other machines would not reach this machine's programs"),
+}
+"""For each session of the hub, the list that contains ``hub.listen``, and what happens without."""
 
 
 def unusable(tree: Tree, section: KeyPath, config: Config) -> Iterator[Flaw]:
     """Yield settings that zenoh accepts, but with which nothing would join, or nothing would be found."""
-    for path, what in ((("transport", "link", "tx", "batch_size"), "message"), (_MAX_SESSIONS, "link")):
-        if found(tree, path) == 0:
-            yield path, f"0 permits no {what}; leave it out"
-    if section not in (WORKERS, ROUTER):
+    for path, least, what in _LEAST:
+        if isinstance(value := _found(tree, path), int) and value < least:
+            yield path, f"{value} permits no {what}; leave it out"
+    yield from _denies_everything(tree)
+    if section == DIALECTS:
+        yield from _shared_listeners(tree, len(config.zenoh.dialects))
+        yield from _without_router(tree) if config.zenoh.router is None else ()
+        return
+    yield from _elsewhere(tree, section, config)
+    if section == OPEN:
         return
     if tree.get("namespace"):
         yield ("namespace",), "workers and commands would not find each other; 'hub.domain' separates hubs"
-    protocols, listens = found(tree, _PROTOCOLS), config.hub.listen.partition("/")[0]
+    protocols, listens = _found(tree, _PROTOCOLS), config.hub.listen.partition("/")[0]
     if protocols and listens not in protocols:
         yield _PROTOCOLS, f"must contain {listens!r}, the protocol of 'hub.listen'"
+    if _found(tree, _GOSSIP) is False and tree.get("mode") != "client":
+        yield _GOSSIP, "workers would not find each other; leave it out"
+    if section == WORKERS and tree.get("mode", "peer") == "peer" and _of_mode(_found(tree, _PEERS), "peer") == []:
+        yield _PEERS, "workers would not connect to each other; leave it out"
 
 
-def shared_listeners(tree: Tree, sessions: int) -> Iterator[Flaw]:
+def _denies_everything(tree: Tree) -> Iterator[Flaw]:
+    """Yield a flaw for an access control that allows nothing; zenoh's default is to deny."""
+    access = tree.get("access_control") or {}
+    if not access.get("enabled") or access.get("default_permission", "deny") != "deny":
+        return
+    used = {name for policy in access.get("policies") or () for name in policy.get("rules") or ()}
+    if not any(rule["permission"] == "allow" and rule["id"] in used for rule in access.get("rules") or ()):
+        text = "allows nothing: no policy has a rule with 'permission: allow'; add one, or 'default_permission: allow'"
+        yield ("access_control",), text
+
+
+def _elsewhere(tree: Tree, section: KeyPath, config: Config) -> Iterator[Flaw]:
+    """Yield a flaw for a list that replaces Midspan's, but lacks the endpoint at which the hub's sessions meet."""
+    path, effect = _MEETING[section]
+    endpoints, place = _found(tree, path), config.hub.listen
+    if endpoints is None or config.hub.router is False:
+        return
+    mode = "router" if section != WORKERS else tree.get("mode", "peer")
+    if not any(_same_place(text, place) for _, text in texts(_of_mode(endpoints, mode), ())):
+        cure = f"add {place!r} (hub.listen)"
+        if section == WORKERS:
+            cure += ", or set 'hub.router: false' if this daemon has no router"
+        yield path, f"{effect}, because the list replaces Midspan's; {cure}"
+
+
+def _of_mode(value: Any, mode: str) -> Any:
+    """Return the part for one mode of a value that may depend on the mode; None if it has none."""
+    return value.get(mode) if isinstance(value, dict) else value
+
+
+def _same_place(one: str, other: str) -> bool:
+    """Whether two endpoints on this machine are the same, by any name of loopback."""
+    (protocol, host, port), (other_protocol, other_host, other_port) = map(_split, (one, other))
+    same_host = host == other_host or ("localhost" in (host, other_host) and is_loopback(one))
+    return protocol == other_protocol and port == other_port and same_host
+
+
+def _split(endpoint: str) -> tuple[str, str, str]:
+    protocol, _, address = re.split(r"[?#]", endpoint)[0].partition("/")
+    host, _, port = address.rpartition(":")
+    return protocol, host, port
+
+
+def _shared_listeners(tree: Tree, sessions: int) -> Iterator[Flaw]:
     """Yield the listeners with a fixed port, which only the session of one dialect can open."""
     for path, text in texts((tree.get("listen") or {}).get("endpoints"), ("listen", "endpoints")):
         if sessions > 1 and not re.search(r":0(?:[?#]|$)", text):
@@ -47,7 +118,7 @@ def shared_listeners(tree: Tree, sessions: int) -> Iterator[Flaw]:
             )
 
 
-def without_router(tree: Tree) -> Iterator[Flaw]:
+def _without_router(tree: Tree) -> Iterator[Flaw]:
     """Yield a flaw for a client that cannot find a router: it has no endpoint, and Midspan turns scouting off."""
     connect, multicast = tree.get("connect") or {}, (tree.get("scouting") or {}).get("multicast") or {}
     endpoints = next(texts(connect.get("endpoints"), ()), None)
@@ -55,7 +126,7 @@ def without_router(tree: Tree) -> Iterator[Flaw]:
         yield ("mode",), "a client needs the address of its router: set zenoh.router, or 'connect: {endpoints: [...]}'"
 
 
-def found(tree: Any, path: KeyPath) -> Any:
+def _found(tree: Any, path: KeyPath) -> Any:
     """Return the value at a path, None if there is none."""
     for part in path:
         tree = tree.get(part) if isinstance(tree, dict) else None
@@ -70,3 +141,17 @@ def texts(value: Any, path: KeyPath) -> Iterator[tuple[KeyPath, str]]:
         for part, inner in value.items() if isinstance(value, dict) else enumerate(value):
             if part != "strategy":
                 yield from texts(inner, (*path, part))
+
+
+def changed(tree: Tree, defaults: Mapping[str, Any]) -> Tree:
+    """Return the values of a configuration that differ from zenoh's defaults."""
+    values: Tree = {}
+    for key, value in tree.items():
+        default = defaults.get(key)
+        if isinstance(value, dict) and isinstance(default, Mapping):
+            below = changed(value, default)
+            if below:
+                values[key] = below
+        elif value is not None and value != default:
+            values[key] = value
+    return values

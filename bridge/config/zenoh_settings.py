@@ -14,16 +14,14 @@ from typing import TYPE_CHECKING, Any
 
 from bridge.config.document import ConfigError, Document, KeyPath, Place, Problem, key_text, read, text_of
 from bridge.config.sections.section import is_loopback, not_one_of, zenoh_endpoint
-from bridge.config.zenoh_effects import (
-    DIALECTS, ROUTER, WORKERS, Flaw, Tree, found, shared_listeners, texts, unusable, without_router,
-)  # fmt: skip
+from bridge.config.zenoh_effects import DIALECTS, OPEN, ROUTER, WORKERS, Flaw, Tree, changed, texts, unusable
 from bridge.config.zenoh_plugins import replacement
 
 if TYPE_CHECKING:
     from bridge.config.model import Config
 
 _SESSIONS: tuple[KeyPath, ...] = (WORKERS, DIALECTS)
-_ROUTERS: tuple[KeyPath, ...] = (ROUTER, ("hub", "open", "zenoh"))
+_ROUTERS: tuple[KeyPath, ...] = (ROUTER, OPEN)
 
 _MOST = 20
 """Maximum number of problems that are reported for one zenoh configuration."""
@@ -64,7 +62,7 @@ def _of_file(file: Path, section: KeyPath, config: Config) -> list[Problem]:
             tree, place = _json5(file, text, section), partial(_place_in_text, text)
     except ConfigError as err:
         return list(err.problems)
-    flaws = _of_tree({} if tree is None else tree, section, config)
+    flaws = _of_tree({} if tree is None else tree, section, config, in_file=True)
     if not flaws:
         reason = _refusal(partial(_zenoh().Config.from_file, str(file)))
         flaws = [((), f"zenoh cannot read the file: {reason}")] if reason else []
@@ -111,7 +109,7 @@ def _place_in_text(text: str, path: KeyPath) -> Place:
     return Place(text.count("\n", 0, start) + 1, start - text.rfind("\n", 0, start))
 
 
-def _of_tree(tree: Any, section: KeyPath, config: Config) -> list[Flaw]:
+def _of_tree(tree: Any, section: KeyPath, config: Config, *, in_file: bool = False) -> list[Flaw]:
     if not isinstance(tree, dict):
         return [((), "must be a map, for example {mode: client}")]
     plugins = tree.get("plugins")
@@ -127,10 +125,10 @@ def _of_tree(tree: Any, section: KeyPath, config: Config) -> list[Flaw]:
     flaws += _missing_files(tree)
     flaws += [] if flaws else _bad_dictionary(tree)
     flaws += [] if flaws else _bad_references(tree)
-    flaws += [] if flaws else unusable(tree, section, config)
-    if section == DIALECTS and not flaws:
-        flaws += shared_listeners(tree, len(config.zenoh.dialects))
-        flaws += without_router(tree) if config.zenoh.router is None else ()
+    if not flaws:
+        # `bridge.hub.zenoh_config.make_config` does the same
+        tree = changed(tree, json.loads(str(_zenoh().Config()))) if in_file else tree
+        flaws += unusable(tree, section, config)
     if section in _ROUTERS and tree.get("mode", "router") != "router":
         flaws.append((("mode",), f"the mode of the daemon's router is 'router', not {tree['mode']!r}; leave it out"))
     if section == WORKERS and tree.get("id"):

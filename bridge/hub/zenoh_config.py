@@ -9,9 +9,8 @@ from typing import Any
 
 import zenoh
 
+from bridge.config.zenoh_effects import Tree, changed
 from bridge.hub.errors import HubConfigError, zenoh_reason
-
-Tree = dict[str, Any]
 
 MAX_PAYLOAD = 256 << 20
 """Maximum size in bytes of a message on the hub."""
@@ -120,7 +119,7 @@ def make_config(tree: Tree, user: Mapping[str, Any] | str | Path | None) -> zeno
     """
     try:
         if isinstance(user, str | Path):
-            over = _set_values(json.loads(str(zenoh.Config.from_file(user))), json.loads(str(zenoh.Config())))
+            over = changed(json.loads(str(zenoh.Config.from_file(user))), json.loads(str(zenoh.Config())))
         else:
             over = dict(user or {})
         return zenoh.Config.from_json5(json.dumps(merge(tree, over)))
@@ -172,16 +171,3 @@ def _common_tree(max_payload: int, wait_ms: int) -> Tree:
             }
         },
     }
-
-
-def _set_values(tree: Tree, defaults: Mapping[str, Any]) -> Tree:
-    values: Tree = {}
-    for key, value in tree.items():
-        default = defaults.get(key)
-        if isinstance(value, dict) and isinstance(default, Mapping):
-            below = _set_values(value, default)
-            if below:
-                values[key] = below
-        elif value is not None and value != default:
-            values[key] = value
-    return values

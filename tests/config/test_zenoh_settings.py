@@ -18,6 +18,10 @@ from bridge.config.load import load, loads
 PROTOCOLS = "tcp, udp, tls, quic, ws, unixsock-stream"
 
 RULE = "{id: r, messages: [put], flows: [ingress], permission: allow, key_exprs: [a]}"
+NO_RULES = "rules: [], subjects: [], policies: []"
+ALLOWS_NOTHING = (
+    "allows nothing: no policy has a rule with 'permission: allow'; add one, or 'default_permission: allow'"
+)
 
 
 def problems(text: str, file: Path = Path("m.yaml")) -> list[str]:
@@ -76,7 +80,15 @@ def test_mistakes_that_zenohs_parser_refuses_are_located(text: str, lines: list[
     ("settings", "place", "text"),
     [
         ("transport: {link: {tx: {batch_size: 0}}}", "transport.link.tx.batch_size", "0 permits no message; leave it out"),
+        ("transport: {link: {tx: {batch_size: 8}}}", "transport.link.tx.batch_size", "8 permits no message; leave it out"),
+        ("transport: {link: {tx: {keep_alive: 0}}}", "transport.link.tx.keep_alive", "0 permits no link; leave it out"),
+        ("transport: {unicast: {accept_pending: 0}}", "transport.unicast.accept_pending", "0 permits no link; leave it out"),
         ("transport: {unicast: {max_sessions: 0}}", "transport.unicast.max_sessions", "0 permits no link; leave it out"),
+        ("transport: {unicast: {open_timeout: 0}}", "transport.unicast.open_timeout", "0 permits no link; leave it out"),
+        ("scouting: {gossip: {enabled: false}}", "scouting.gossip.enabled", "workers would not find each other; leave it out"),
+        (f"access_control: {{enabled: true, default_permission: deny, {NO_RULES}}}", "access_control", ALLOWS_NOTHING),
+        (f"access_control: {{enabled: true, {NO_RULES}}}", "access_control", ALLOWS_NOTHING),
+        (f"access_control: {{enabled: true, rules: [{RULE}], subjects: [{{id: s}}], policies: []}}", "access_control", ALLOWS_NOTHING),
         ("transport: {link: {protocols: [udp]}}", "transport.link.protocols", "must contain 'tcp', the protocol of 'hub.listen'"),
         ("namespace: robot1", "namespace", "workers and commands would not find each other; 'hub.domain' separates hubs"),
     ],
@@ -84,6 +96,50 @@ def test_mistakes_that_zenohs_parser_refuses_are_located(text: str, lines: list[
 def test_settings_with_which_nothing_would_work_are_refused(section: str, settings: str, place: str, text: str) -> None:
     (line,) = problems(f"hub: {{{section}: {{{settings}}}}}")
     assert line.endswith(f": hub.{section}.{place}: {text}")
+
+
+WORKERS_APART = "the workers would not reach the daemon's router, because the list replaces Midspan's; add 'tcp/127.0.0.1:7447' (hub.listen), or set 'hub.router: false' if this daemon has no router"
+ROUTER_APART = "workers and commands would not reach the router, because the list replaces Midspan's; add 'tcp/127.0.0.1:7447' (hub.listen)"
+MACHINES_APART = "other machines would not reach this machine's programs, because the list replaces Midspan's; add 'tcp/127.0.0.1:7447' (hub.listen)"
+
+
+@pytest.mark.parametrize(
+    ("hub", "place", "text"),
+    [
+        ("zenoh: {connect: {endpoints: ['tcp/127.0.0.1:7448']}}", "zenoh.connect", WORKERS_APART),
+        ("zenoh: {connect: {endpoints: ['tcp/robot:7447', 'tcp/[::1]:7447', 'udp/127.0.0.1:7447']}}", "zenoh.connect", WORKERS_APART),
+        ("zenoh: {connect: {endpoints: []}}", "zenoh.connect", WORKERS_APART),
+        ("zenoh: {connect: {endpoints: {client: ['tcp/127.0.0.1:7447']}}}", "zenoh.connect", WORKERS_APART),
+        ("zenoh: {mode: client, connect: {endpoints: ['tcp/robot:7447']}}", "zenoh.connect", WORKERS_APART),
+        ("zenoh: {listen: {endpoints: []}}", "zenoh.listen", "workers would not connect to each other; leave it out"),
+        ("router_zenoh: {listen: {endpoints: ['tcp/127.0.0.1:7448']}}", "router_zenoh.listen", ROUTER_APART),
+        ("router_zenoh: {listen: {endpoints: {peer: ['tcp/127.0.0.1:7447']}}}", "router_zenoh.listen", ROUTER_APART),
+        ("open: {zenoh: {connect: {endpoints: ['tls/robot:7448']}}}", "open.zenoh.connect", MACHINES_APART),
+    ],
+)  # fmt: skip
+def test_endpoints_without_that_of_the_hub_are_refused(hub: str, place: str, text: str) -> None:
+    (line,) = problems(f"hub: {{{hub}}}")
+    assert line.endswith(f": hub.{place}.endpoints: {text}")
+
+
+@pytest.mark.parametrize(
+    "hub",
+    [
+        "zenoh: {connect: {endpoints: ['tcp/robot:7447', 'tcp/127.0.0.1:7447#so_sndbuf=65000']}}",
+        "zenoh: {connect: {endpoints: {peer: ['tcp/localhost:7447']}}}",
+        "router: false, zenoh: {mode: client, connect: {endpoints: ['tls/robot:7448']}}",
+        "zenoh: {mode: client, listen: {endpoints: []}, scouting: {gossip: {enabled: false}}}",
+        "listen: 'unixsock-stream//tmp/a', zenoh: {connect: {endpoints: ['unixsock-stream//tmp/a']}}",
+        "router_zenoh: {listen: {endpoints: ['tcp/localhost:7447', 'tcp/127.0.0.1:7450']}}",
+    ],
+)
+def test_endpoints_with_that_of_the_hub_are_accepted(hub: str) -> None:
+    assert loads(f"hub: {{{hub}}}").hub
+
+
+def test_zenohs_defaults_in_a_file_are_accepted(tmp_path: Path) -> None:
+    (tmp_path / "zenoh.json5").write_text("{connect: {endpoints: []}, scouting: {gossip: {enabled: true}}}")
+    assert loads("hub: {zenoh: zenoh.json5}", tmp_path / "m.yaml").hub.zenoh == tmp_path / "zenoh.json5"
 
 
 @pytest.mark.parametrize(
@@ -327,7 +383,7 @@ def test_a_file_that_is_broken_later_is_refused_at_the_next_load(tmp_path: Path)
     ],
 )
 def test_valid_settings_are_accepted(text: str) -> None:
-    assert loads(f"hub: {{zenoh: {text}}}").hub.zenoh
+    assert loads(f"hub: {{router: false, zenoh: {text}}}").hub.zenoh
 
 
 def test_the_stock_file_of_another_program_is_accepted() -> None:
