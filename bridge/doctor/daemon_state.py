@@ -8,10 +8,11 @@ runs.
 from __future__ import annotations
 
 import os
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
+from typing import Any
 
 import psutil
 
@@ -134,20 +135,46 @@ def state_candidates(config: Config) -> list[Config]:
     return [config.model_copy(update={"state": folder}) for folder in folders]
 
 
-def unresponsive_router(config: Config) -> str:
-    """Return a message if the process of a configuration's router holds the hub's port, "" otherwise.
-
-    Meant for a port at which no router answers: a router that hangs, or that has no free file descriptor, still
-    listens there.
-    """
+def own_router(config: Config) -> int:
+    """Return the process of a configuration's router if it holds the hub's port, else 0."""
     from bridge.hub.router import port_holder  # many commands need no router
 
     holder = port_holder(config.hub.listen)
     routers = [_router_process(candidate) for candidate in state_candidates(config)]
-    if holder is None or holder.pid not in routers:
+    return holder.pid if holder is not None and holder.pid in routers else 0
+
+
+def unresponsive_router(config: Config) -> str:
+    """Return a message if the process of a configuration's router holds the hub's port, "" otherwise.
+
+    Meant for a port at which no router answers: a router that hangs, or that has no free file descriptor, still
+    listens there. Settings of zenoh may also keep programs out, so the message names them.
+    """
+    pid = own_router(config)
+    if not pid:
         return ""
-    place = connect_endpoint(config.hub.listen)
-    return f"the router of {config.name} (process {holder.pid}) listens at {place}, but accepts no connection"
+    place, settings = connect_endpoint(config.hub.listen), zenoh_settings(config)
+    cause = f"; {settings} may be the cause" if settings else ""
+    return f"the router of {config.name} (process {pid}) listens at {place}, but accepts no connection{cause}"
+
+
+def zenoh_settings(config: Config) -> str:
+    """Return the names of the zenoh settings that apply to links with the router; "" without any."""
+    settings = (("hub.zenoh", config.hub.zenoh), ("hub.router_zenoh", config.hub.router_zenoh))
+    return " and ".join(
+        name if isinstance(value, Path) else ", ".join(f"{name}.{key}" for key in _keys(value))
+        for name, value in settings
+        if value
+    )
+
+
+def _keys(settings: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the keys of all values in zenoh settings, with dots between levels."""
+    for key, value in settings.items():
+        if isinstance(value, dict) and key != "access_control":
+            yield from (f"{key}.{inner}" for inner in _keys(value))
+        else:
+            yield key
 
 
 def describe(report: WorkerReport) -> str:

@@ -6,12 +6,16 @@ import json
 import socket
 import threading
 from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
 import zenoh
 
+from bridge.config.model import Config
+from bridge.doctor import daemon_state
 from bridge.doctor.check import Result
 from bridge.doctor.checks import bridges, router, types
 from bridge.doctor.checks import daemon as daemon_checks
@@ -19,6 +23,7 @@ from bridge.doctor.context import HubSnapshot
 from bridge.doctor.hub_problems import conflicts, separated
 from bridge.hub.graph import HubEndpoint
 from bridge.hub.graph.tokens import UNKNOWN_HASH, EndpointKind, Origin
+from bridge.hub.router import port_holder
 from bridge.hub.wire.keys import NO_HASH
 from bridge.hub.wire.qos import Qos
 from bridge.messages.registry import Registry
@@ -100,6 +105,43 @@ def test_a_port_with_midspans_own_router_passes_the_check() -> None:
     with HubNetwork() as network:
         finding = only(router.check_port(around({"hub": {"listen": network.endpoint}})))
     assert (finding.result, "Midspan daemon test" in finding.seen) == (Result.OK, True), finding
+
+
+FEW = {"transport": {"unicast": {"max_sessions": 1}}}
+DENY = {"enabled": True, "rules": [], "subjects": [], "policies": []}
+
+
+@pytest.mark.parametrize(
+    ("section", "settings", "seen", "key"),
+    [
+        ("router_zenoh", FEW, "accepts no connection", "transport.unicast.max_sessions"),
+        ("router_zenoh", {"access_control": DENY}, "does not identify itself", "access_control"),
+        ("zenoh", {"transport": {"link": {"protocols": ["udp"]}}}, "accepts no connection", "transport.link.protocols"),
+    ],
+)  # fmt: skip
+def test_settings_that_keep_programs_from_the_router_are_named(
+    section: str, settings: dict[str, Any], seen: str, key: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with HubNetwork(router_zenoh=settings if section == "router_zenoh" else None) as network, ExitStack() as stack:
+        if key.endswith("max_sessions"):
+            stack.enter_context(network.program())
+        holder = port_holder(network.endpoint)
+        assert holder is not None
+        # the router of this test runs without the lock of a daemon's worker
+        monkeypatch.setattr(daemon_state, "_router_process", lambda _config: holder.pid)
+        place = around({"name": "robot", "hub": {"listen": network.endpoint, section: settings}})
+        finding = only(router.check_port(place))
+    assert finding.result is Result.FAIL
+    assert finding.seen.startswith(
+        f"the router of robot (process {holder.pid}) listens at {network.endpoint}, but {seen}"
+    )
+    assert finding.cure.startswith(f"leave out hub.{section}.{key}, and restart the daemon")
+
+
+def test_a_file_of_settings_is_named_by_its_key(tmp_path: Path) -> None:
+    config = Config.model_validate({"hub": {"zenoh": tmp_path / "a.json5", "router_zenoh": {"mode": "router"}}})
+    assert daemon_state.zenoh_settings(config) == "hub.zenoh and hub.router_zenoh.mode"
+    assert daemon_state.zenoh_settings(Config()) == ""
 
 
 @pytest.fixture

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import psutil
 
+from bridge.config.model import Config
 from bridge.doctor.check import Check, Findings, fail, ok, warn
 from bridge.doctor.checks import connections
 from bridge.doctor.context import CheckContext
-from bridge.doctor.daemon_state import unresponsive_router
+from bridge.doctor.daemon_state import own_router, unresponsive_router, zenoh_settings
 from bridge.hub.errors import HubError
 from bridge.hub.router import port_held, port_holder, probe_router
 
@@ -22,7 +23,7 @@ def check_port(context: CheckContext) -> Findings:
     if info is None:
         deaf = unresponsive_router(context.config)
         if deaf:
-            return fail(deaf, "see the checks 'daemon' and 'descriptors'; if both are good, end that process")
+            return fail(deaf, _cure(context.config))
         if not port_held(hub.listen):
             return ok(f"nothing listens at {hub.listen} yet; the daemon's router will")
         seen = f"{hub.listen} is held by a program that is not zenoh{_holder(hub.listen)}"
@@ -31,10 +32,22 @@ def check_port(context: CheckContext) -> Findings:
         return fail(f"{hub.listen} is held by {info}, which routes nothing", "set hub.listen to a free port")
     if info.daemon:
         return ok(f"{hub.listen} is {info}")
+    if pid := own_router(context.config):
+        seen = (
+            f"the router of {context.config.name} (process {pid}) listens at {hub.listen}, but does not identify itself"
+        )
+        return fail(seen, _cure(context.config))
     text = f"{hub.listen} is held by {info}{_holder(hub.listen)}"
     if hub.router is True:
         return fail(text, "stop that router, set hub.listen to a free port, or set hub.router to auto (it is true)")
     return warn(f"{text}; it is used as the hub's router", "if that is not intended, set hub.listen to a free port")
+
+
+def _cure(config: Config) -> str:
+    """Return the cure for a router of this daemon that does not answer."""
+    usual = "see the checks 'daemon' and 'descriptors'; if both are good, end that process"
+    settings = zenoh_settings(config)
+    return f"leave out {settings}, and restart the daemon; if that does not help, {usual}" if settings else usual
 
 
 def _holder(endpoint: str) -> str:
