@@ -76,14 +76,14 @@ def ready(folder: str) -> list[str]:
     return sorted(file.stem for file in (_FOLDER / folder).glob("*.yaml"))
 
 
-def find(folder: str, name: str) -> Path:
+def find(folder: str, name: str | Path) -> Path:
     """Return the file of a name that comes with Midspan, or else a path; raises `SimError` if neither exists."""
     shipped = _FOLDER / folder / f"{name}.yaml"
     if name in ready(folder):
         return shipped
     file = Path(name).expanduser()
     if not file.is_file():
-        msg = f"{name!r} is neither a file nor one of the {folder} that come with Midspan: {', '.join(ready(folder))}"
+        msg = f"'{name}' is neither a file nor one of the {folder} that come with Midspan: {', '.join(ready(folder))}"
         raise SimError(msg)
     return file
 

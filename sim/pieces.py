@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.plan import Box, Floor, Person, Point, RoomDoor, Round, Table
+from sim.robot import Body
 
 _ON_LINE = 0.02  # maximum distance of a door's post from its wall's middle line, meters
 
@@ -136,6 +137,32 @@ def standing(floor: Floor) -> list[Piece]:
     boxes = (of_box(box) for box in floor.boxes if box.mass is None)
     tables = (piece for table in floor.tables for piece in of_table(table))
     return [*walls(floor), *boxes, *(of_round(thing) for thing in floor.rounds), *tables]
+
+
+def at_start(floor: Floor, *, people: bool) -> list[Piece]:
+    """Return all pieces in a robot's way at the start: fixed ones, closed doors, movable boxes, and ``people``."""
+    closed = (leaf(door, floor) for door in floor.doors if not door.open)
+    crates = (of_box(box) for box in floor.boxes if box.mass is not None)
+    persons = (of_person(person) for person in floor.people if people)
+    return [*standing(floor), *closed, *persons, *crates]
+
+
+def occupant(obstacles: Iterable[Piece], body: Body, x: float, y: float) -> str:
+    """Return why a robot cannot stand at a place (meters) among these pieces, "" if it can."""
+    for piece in obstacles:
+        if piece.above < body.tall and distance(piece, x, y) < body.radius:
+            return f"the robot cannot stand at {x:.2f}, {y:.2f}: {piece.name or 'a wall'} is there"
+    return ""
+
+
+def distance(piece: Piece, x: float, y: float) -> float:
+    """Return the distance from a point to a piece, in meters; 0 inside it."""
+    dx, dy = x - piece.x, y - piece.y
+    if piece.radius:
+        return max(0.0, math.hypot(dx, dy) - piece.radius)
+    c, s = math.cos(piece.yaw), math.sin(piece.yaw)
+    along, aside = abs(c * dx + s * dy) - piece.length / 2, abs(c * dy - s * dx) - piece.width / 2
+    return math.hypot(max(0.0, along), max(0.0, aside))
 
 
 def of_person(person: Person) -> Piece:

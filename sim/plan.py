@@ -292,7 +292,7 @@ def rectangles(solid: NDArray[np.bool_]) -> Iterator[tuple[int, int, int, int]]:
 _IMAGES = (".png", ".pgm", ".bmp", ".jpg", ".jpeg", ".gif", ".tif", ".tiff")
 
 
-def load_plan(name: str, resolution: float = 0.05) -> Plan:
+def load_plan(name: str | Path, resolution: float = 0.05) -> Plan:
     """Load a plan that comes with Midspan, or a file: a plan or a ROS map (YAML), a YARP map (.map), or an image.
 
     Args:

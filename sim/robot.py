@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from pydantic import Field, model_validator
 
 from bridge.config.sections.section import Section
@@ -165,7 +167,7 @@ class RobotDescription(Section):
         return self
 
 
-def load(name: str) -> RobotDescription:
+def load(name: str | Path) -> RobotDescription:
     """Load a robot that comes with Midspan, or a file; raises `SimError` if the name is unknown or the file invalid."""
     robot = checked(document(find("robots", name)), RobotDescription)
     if robot.body.low >= robot.body.high:

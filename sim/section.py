@@ -2,13 +2,27 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+import re
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
+from typing_extensions import override
 
-from bridge.config.sections.section import Section, matching, setting, subsection
+from bridge.config.sections.section import Mistake, Section, matching, setting, subsection
 
 _Prefix = Annotated[str, matching(r"(?:/[A-Za-z0-9_]+)*", "is not a prefix of port names; write for instance /cer")]
+
+
+def _named_or_file(value: str | Path) -> str | Path:
+    return Path(value) if isinstance(value, str) and not re.fullmatch(r"[A-Za-z0-9_-]+", value) else value
+
+
+_Description = Annotated[str | Path, AfterValidator(_named_or_file)]
+"""The name of a plan or robot that comes with Midspan, or a file."""
+
+_Reach = Annotated[float, Field(ge=-10, le=10)]
 
 _Angle = Annotated[float, Field(ge=1, le=170)]
 
@@ -31,6 +45,12 @@ class LaserSection(Section):
     resolution: float = setting(0.0, "Step to which distances are rounded, meters; 0: not rounded.", ge=0, le=1)
     dropouts: float = setting(0.0, "Share of beams without a value (NaN).", ge=0, le=1)
 
+    @model_validator(mode="after")
+    def _sees(self) -> LaserSection:
+        if self.nearest >= self.farthest:
+            raise ValueError("nearest must be less than farthest")
+        return self
+
 
 class EncodersSection(Section):
     """Errors of the wheels' encoders, which make the odometry drift."""
@@ -52,7 +72,7 @@ class CameraSection(Section):
     fov: tuple[_Angle, _Angle] = setting((87.0, 58.0), "Horizontal and vertical field of view, degrees.")
     nearest: float = setting(0.3, "Minimum depth, meters; nearer pixels are minus infinity (`16UC1`: 0).", ge=0, le=10)
     farthest: float = setting(10.0, "Maximum depth, meters; farther pixels are infinite (`16UC1`: 0).", gt=0, le=65)
-    at: tuple[float, float, float] = setting(
+    at: tuple[_Reach, _Reach, _Reach] = setting(
         (0.1, 0.0, 1.1), "Position of the camera on the robot: meters ahead, to the left, above the floor."
     )
     pitch: float = setting(25.0, "Angle by which the camera is tilted down, degrees.", ge=-90, le=90)
@@ -80,11 +100,11 @@ class SimSection(Section):
     """The simulation of a mobile base, by default the R1's, in the physics engine DART."""
 
     enabled: bool = setting(False, "Whether the worker `sim` runs.")
-    plan: str = setting(
+    plan: _Description = setting(
         "apartment", "`apartment`, `office`, `lab`, `hall`, `tables`, `two_storeys`, or a file (plan, map, image)."
     )
     resolution: float = setting(0.05, "Meters per pixel of a plan that is an image.", gt=0, le=10)
-    robot: str = setting("r1", "`r1`, `r1_gazebo`, `ikart_v1`, or a file that describes another robot.")
+    robot: _Description = setting("r1", "`r1`, `r1_gazebo`, `ikart_v1`, or a file that describes another robot.")
     start: tuple[float, float, float] | None = setting(
         None, "The robot's start pose: x, y (meters), direction (degrees); empty: from the plan."
     )
@@ -119,3 +139,14 @@ class SimSection(Section):
         if isinstance(value, float) and not 0.01 <= value <= 1000:
             raise ValueError("a speed is 0.01 to 1000, `max` or `step`")
         return value
+
+    @override
+    def mistakes(self, config: Any) -> Iterable[Mistake]:
+        from sim.environment import ready  # not needed without `sim`
+
+        shipped = self.plan in ready("plans") and self.robot in ready("robots")
+        if not self.enabled or (shipped and not self.start and not self.encoders.scale):
+            return ()
+        from sim.fitting import mistakes  # imports numpy
+
+        return mistakes(self)

@@ -23,7 +23,7 @@ class WheelEncoders:
     def __init__(self, base: Base, section: EncodersSection, rng: np.random.Generator) -> None:
         self._base, self._noise, self._rng = base, section.noise, rng
         scale = section.scale or (0.0,) * len(base.names)
-        self._scale = 1.0 + np.resize(np.array(scale, float), len(base.names))
+        self._scale = 1.0 + np.array(scale, float)
         self._last = base.joints()[0]
         self._reading = np.zeros(len(base.names))
         self.frozen = False  # whether the encoders miss the wheels' rotation

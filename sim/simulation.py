@@ -9,6 +9,7 @@ from sim import robot
 from sim.base import STEP_NS, TICK_NS, Base, BasePose, Differential, Holonomic, Twist
 from sim.depth import DepthCamera, Depths
 from sim.environment import SimError
+from sim.fitting import wrong_scale, wrong_start
 from sim.plan import Plan, load_plan
 from sim.section import SimSection
 from sim.sensing import Sensing
@@ -40,6 +41,10 @@ class Simulation:
         whole = plan or load_plan(section.plan, section.resolution)
         self.plan = whole if section.people else whole.without_people
         self.robot = description or robot.load(section.robot)
+        if reason := wrong_scale(section, self.robot):
+            raise SimError(f"sim.encoders.scale {reason}")
+        if reason := wrong_start(section, self.plan, self.robot):
+            raise SimError(f"the start pose: {reason}")
         self.time_ns = 0
         self.begin()
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sim.base import STEP_NS, Base, BasePose
 from sim.bodies import fixed, ground, movable, place_of, yaw_of
 from sim.environment import SimError, dartpy
-from sim.pieces import Piece, Walker, leaf, of_box, of_person, standing
+from sim.pieces import Piece, Walker, distance, leaf, occupant, of_box, of_person, standing
 from sim.plan import Box, Floor, Person
 
 Floats = NDArray[np.float64]
@@ -216,7 +216,7 @@ class FloorWorld:
         things += [(name, (p := crate.now()).x, p.y, p.reach) for name, crate in self.crates.items()]
         for name, x, y, reach in things:
             low = name == "the robot" and piece.above >= self.base.robot.body.tall
-            if not low and _distance(piece, x, y) < reach:
+            if not low and distance(piece, x, y) < reach:
                 return name
         return ""
 
@@ -259,14 +259,11 @@ class FloorWorld:
 
     def place(self, pose: BasePose) -> None:
         """Move the base to a pose, at rest; raises `SimError` if the place is occupied."""
-        radius = self.base.robot.body.radius
         obstacles = [*self.pieces[: self.first_leaf], *self.leaves(is_open=False)]
         obstacles += [walker.piece() for walker in self.people.values()]
         obstacles += [replace(crate.now(), name=name) for name, crate in self.crates.items()]
-        for piece in obstacles:
-            if piece.above < self.base.robot.body.tall and _distance(piece, pose.x, pose.y) < radius:
-                msg = f"the robot cannot stand at {pose.x:.2f}, {pose.y:.2f}: {piece.name or 'a wall'} is there"
-                raise SimError(msg)
+        if reason := occupant(obstacles, self.base.robot.body, pose.x, pose.y):
+            raise SimError(reason)
         self.base.place(pose)
         self._rests = False
         self.update_near()
@@ -301,16 +298,6 @@ def solids_of(pieces: Iterable[Piece]) -> Floats:
         half = (p.radius, 0.0) if p.radius else (p.length / 2, p.width / 2)
         rows.append((p.x, p.y, math.cos(p.yaw), math.sin(p.yaw), *half, p.above, p.top))
     return np.array(rows, float).reshape(-1, 8)
-
-
-def _distance(piece: Piece, x: float, y: float) -> float:
-    """Return the distance from a point to a piece, in meters; 0 inside it."""
-    dx, dy = x - piece.x, y - piece.y
-    if piece.radius:
-        return max(0.0, math.hypot(dx, dy) - piece.radius)
-    c, s = math.cos(piece.yaw), math.sin(piece.yaw)
-    along, aside = abs(c * dx + s * dy) - piece.length / 2, abs(c * dy - s * dx) - piece.width / 2
-    return math.hypot(max(0.0, along), max(0.0, aside))
 
 
 MARGIN = 0.5

@@ -16,7 +16,7 @@ from bridge.config.migrate import too_new
 from bridge.config.model import Config
 from bridge.config.problems import key_name, model_of, problems
 from bridge.config.rules import untyped
-from bridge.config.sections.listen import ServerSection
+from bridge.config.sections.section import Section
 from bridge.config.zenoh_settings import zenoh_problems
 
 Config.model_rebuild()  # imports the models of all sections
@@ -67,15 +67,16 @@ def from_document(document: Document) -> Config:
         raise ConfigError(problems(document, Config, err.errors(include_url=False))) from err
     if config.hub.open.opened and (vague := untyped(config.routing)):
         raise ConfigError([document.problem(("routing", "rules", rule.index), rule.text) for rule in vague])
-    servers = {name: section for name, section in config if isinstance(section, ServerSection)}
-    if conflicts := {name: text for name, section in servers.items() if (text := section.conflict(config))}:
-        raise ConfigError([document.problem((name, "listen"), text) for name, text in conflicts.items()])
     if twice := listener_problems(document, config):
         raise ConfigError(twice)
     missing: list[Problem] = []
     placed: Config = _resolve_paths(config, (), document, missing)
     if missing:
         raise ConfigError(missing)
+    sections = ((name, section) for name, section in placed if isinstance(section, Section))
+    wrong = [((name, *path), text) for name, section in sections for path, text in section.mistakes(placed)]
+    if wrong:
+        raise ConfigError([document.problem(path, text) for path, text in wrong])
     if refused := zenoh_problems(document, placed) or _mapping_rule_problems(document, placed):
         raise ConfigError(refused)
     return placed

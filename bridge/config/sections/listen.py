@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import ipaddress
 import re
+from collections.abc import Iterable
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
+from typing_extensions import override
 
-from bridge.config.sections.section import Section, matching, setting
+from bridge.config.sections.section import Mistake, Section, matching, setting
 
 Role = Literal["watch", "drive"]
 """What a person may do: only watch, or also command."""
@@ -36,6 +38,11 @@ class ServerSection(Section):
     def conflict(self, config: Any) -> str:  # noqa: ARG002 - most sections are checked alone
         """Return why the other sections of ``config`` forbid the server to listen at `listen`, "" if they do not."""
         return ""
+
+    @override
+    def mistakes(self, config: Any) -> Iterable[Mistake]:
+        conflict = self.conflict(config)
+        return [(("listen",), conflict)] if conflict else []
 
 
 def split(listen: str) -> tuple[str, int]:

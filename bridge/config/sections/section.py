@@ -7,7 +7,7 @@ import ipaddress
 import re
 import types
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 from urllib.parse import urlsplit
@@ -23,6 +23,8 @@ else:
     SideName = Literal[tuple(all_networks())]
 
 Enabled = Literal["auto", True, False]
+Mistake = tuple[tuple[str | int, ...], str]
+"""The path of a key within a section, and what is wrong with its value."""
 
 
 class Section(BaseModel):
@@ -46,6 +48,10 @@ class Section(BaseModel):
                     raise ValueError(f"'listen' takes one address here, not {len(value)}")
                 data = {**data, key: value[0]}
         return data
+
+    def mistakes(self, config: Any) -> Iterable[Mistake]:  # noqa: ARG002 - most sections are checked alone
+        """Return what is wrong with the section in view of its files, and of the other sections of ``config``."""
+        return ()
 
 
 def is_list_of_texts(annotation: Any) -> bool:

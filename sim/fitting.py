@@ -1,0 +1,59 @@
+"""Checks without DART that the plan, the robot and the start pose of the section ``sim`` fit together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from bridge.config.sections.section import Mistake
+from sim import pieces, robot
+from sim.environment import SimError
+from sim.plan import Floor, Plan, Pose, load_plan
+from sim.robot import RobotDescription
+from sim.section import SimSection
+
+
+def mistakes(section: SimSection) -> Iterator[Mistake]:
+    """Yield the keys of the section with which the simulation would not start, and the reasons."""
+    try:
+        description = robot.load(section.robot)
+    except SimError as err:
+        yield ("robot",), str(err)
+        return
+    if reason := wrong_scale(section, description):
+        yield ("encoders", "scale"), reason
+    try:
+        plan = load_plan(section.plan, section.resolution)
+    except SimError as err:
+        yield ("plan",), str(err)
+        return
+    if reason := wrong_start(section, plan, description):
+        yield ("start",) if section.start else ("plan",), reason
+
+
+def wrong_scale(section: SimSection, description: RobotDescription) -> str:
+    """Return why the encoders' errors do not fit the robot, "" if they do."""
+    count, wheels = len(section.encoders.scale), description.wheels.names
+    if count in (0, len(wheels)):
+        return ""
+    found = "1 value" if count == 1 else f"{count} values"
+    return f"has {found}, and needs {len(wheels)}, one for each wheel of {description.name}: {', '.join(wheels)}"
+
+
+def wrong_start(section: SimSection, plan: Plan, description: RobotDescription) -> str:
+    """Return why the robot cannot start at its start pose, "" if it can."""
+    floor = plan.floors[plan.first]
+    x, y, _ = section.start or floor.start
+    left, bottom, right, top = _area(floor)
+    if not (left <= x <= right and bottom <= y <= top):
+        area = f"x from {left:.2f} to {right:.2f}, y from {bottom:.2f} to {top:.2f}"
+        return f"{x:.2f}, {y:.2f} is outside the plan {plan.name} ({area}, meters)"
+    reason = pieces.occupant(pieces.at_start(floor, people=section.people), description.body, x, y)
+    return f"{reason}; it needs {description.body.radius:.2f} m of room on all sides" if reason else ""
+
+
+def _area(floor: Floor) -> tuple[float, float, float, float]:
+    """Return the bounds of all things and places of a floor, in meters: left, bottom, right, top."""
+    left, bottom, right, top = floor.extent
+    poses: list[Pose] = [floor.start, *floor.places.values()]
+    xs, ys = [left, right, *(pose[0] for pose in poses)], [bottom, top, *(pose[1] for pose in poses)]
+    return min(xs), min(ys), max(xs), max(ys)
