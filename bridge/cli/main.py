@@ -155,13 +155,16 @@ def _version() -> int:
 
 
 def _complain(err: Exception) -> None:
+    from bridge.cli.output import system_error
     from bridge.client.errors import ClientError
     from bridge.config.document import ConfigError
 
     logging.getLogger("midspan").debug("command failed", exc_info=err)
     if isinstance(err, ConfigError):
         print(str(err), file=sys.stderr)
-    elif isinstance(err, ClientError | OSError | RuntimeError | TimeoutError) and str(err):
+    elif isinstance(err, OSError) and str(err):
+        print(f"midspan: {system_error(err)}", file=sys.stderr)
+    elif isinstance(err, ClientError | RuntimeError) and str(err):
         print(f"midspan: {err}", file=sys.stderr)
     else:
         print(f"midspan: {type(err).__name__}: {err} (--debug shows where)", file=sys.stderr)

@@ -20,3 +20,11 @@ def print_json(value: Any, *, lines: bool = False) -> None:
 def json_line(value: Any) -> str:
     """Format a value as one line of JSON."""
     return json.dumps(value, ensure_ascii=False)
+
+
+def system_error(err: OSError) -> str:
+    """Return an error of the system without its number: ``maps/a.map: permission denied``."""
+    if not err.strerror:
+        return str(err)
+    reason = f"{err.strerror[:1].lower()}{err.strerror[1:]}"
+    return f"{err.filename}: {reason}" if err.filename else reason

@@ -88,6 +88,26 @@ def test_failure_is_one_line_without_traceback(tmp_path: Path, capsys: pytest.Ca
     assert capsys.readouterr().err == f"{tmp_path}/none.yaml: no such file\n"
 
 
+@pytest.mark.parametrize(
+    ("err", "line"),
+    [
+        (PermissionError(13, "Permission denied", "a.map"), "a.map: permission denied"),
+        (ConnectionRefusedError(111, "Connection refused"), "connection refused"),
+        (TimeoutError("no answer within 3 s"), "no answer within 3 s"),
+        (OSError(), "OSError:  (--debug shows where)"),
+    ],
+)
+def test_errors_of_the_system_have_no_number(
+    err: OSError, line: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(_args: object) -> int:
+        raise err
+
+    monkeypatch.setattr("bridge.cli.setup.config.run_config", fail)
+    assert main(["config", "schema"]) == 1
+    assert capsys.readouterr().err == f"midspan: {line}\n"
+
+
 def test_debug_shows_the_traceback(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     def fail(_args: object) -> int:
         raise KeyError("why")

@@ -104,3 +104,30 @@ def test_the_command_writes_maps_and_pictures(tmp_path: Path, capsys: pytest.Cap
     ):
         assert main(["sim", "--config", str(config), *wrong]) == 1
         assert message in capsys.readouterr().err
+
+
+FOLDER = "; --export takes a folder that this user may write to, with enough space\n"
+FILE = "; --picture takes a file in a folder that this user may write to, with enough space\n"
+
+
+@pytest.mark.parametrize(
+    ("option", "path", "error"),
+    [
+        ("--export", "file", f"the maps into {{path}}: {{path}}: file exists{FOLDER}"),
+        ("--export", "file/maps", f"the maps into {{path}}: {{path}}: not a directory{FOLDER}"),
+        ("--export", "/proc/maps", f"the maps into {{path}}: {{path}}: no such file or directory{FOLDER}"),
+        ("--export", "taken", f"the maps into {{path}}: {{path}}/locations.ini: Is a directory{FOLDER}"),
+        ("--picture", "none/a.png", f"the picture {{path}}: {{path}}: no such file or directory{FILE}"),
+        ("--picture", "taken", f"the picture {{path}}: {{path}}: is a directory{FILE}"),
+        ("--picture", "/dev/full", f"the picture {{path}}: no space left on device{FILE}"),
+    ],
+)
+def test_a_place_that_cannot_be_written_is_a_plain_error(
+    option: str, path: str, error: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "taken" / "locations.ini").mkdir(parents=True)
+    (tmp_path / "m.yaml").write_text(f"state: {tmp_path}")
+    place = str(tmp_path / path)
+    assert main(["sim", "--config", str(tmp_path / "m.yaml"), "--plan", "hall", option, place]) == 1
+    assert capsys.readouterr().err == f"midspan: cannot write {error.format(path=place)}"

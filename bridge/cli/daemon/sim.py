@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bridge.cli.arguments import add_config
-from bridge.cli.output import CliError
+from bridge.cli.output import CliError, system_error
 
 if TYPE_CHECKING:
     from bridge.config.model import Config
@@ -86,7 +88,9 @@ def _export(config: Config, args: argparse.Namespace) -> int:
         raise CliError(f"--resolution {resolution} is not from 0.001 to 10 meters")
     section = config.section(SimSection)
     plan = load_plan(section.plan, section.resolution)
-    for file in export.save(plan, args.export, resolution):
+    with _writing(f"the maps into {args.export}", "--export takes a folder"):
+        files = export.save(plan, args.export, resolution)
+    for file in files:
         print(file)
     for name, link in export.links(plan).items():
         print(f"link {name}: {link.first} and {link.second}, cost {link.cost:g}")
@@ -98,6 +102,21 @@ def _picture(config: Config, file: Path) -> int:
     from sim.section import SimSection
     from sim.simulation import Simulation
 
-    png(Simulation(config.section(SimSection)), file)
+    simulation = Simulation(config.section(SimSection))
+    with _writing(f"the picture {file}", "--picture takes a file in a folder"):
+        png(simulation, file)
     print(file)
     return 0
+
+
+@contextmanager
+def _writing(what: str, takes: str) -> Iterator[None]:
+    """Raise `CliError` if something cannot be written."""
+    from yarp_compat.dev.mapfile import MapFileError
+
+    try:
+        yield
+    except (OSError, MapFileError) as err:
+        reason = system_error(err) if isinstance(err, OSError) else err
+        msg = f"cannot write {what}: {reason}; {takes} that this user may write to, with enough space"
+        raise CliError(msg) from None
