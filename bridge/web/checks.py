@@ -10,6 +10,7 @@ from bridge.metrics.section import MetricsSection
 from bridge.web.section import WebSection
 
 SOON_DAYS = 30
+_COPY = "correct the files, and copy them here; see docs/operate/console.md"
 _MAKE = "'midspan keys make' creates the files; see docs/operate/console.md"
 
 
@@ -21,17 +22,15 @@ def check_certificate(context: CheckContext) -> Findings:
     files = key_files(context.config)
     reason = trouble(files) or files.trouble()
     if reason:
-        return fail(f"{'the console' if web.enabled else 'the worker metrics'} cannot start: {reason}", _MAKE)
+        what = "the console" if web.enabled else "the worker metrics"
+        return fail(f"{what} cannot start: {reason}", _COPY if files.certificate.exists() else _MAKE)
     certificate = read_certificate(files.certificate)
     findings: list[Finding] = []
     if certificate.begins_later():
-        seen = f"{certificate.file} is not valid before {certificate.since:%Y-%m-%d %H:%M} UTC: browsers refuse it"
-        findings.append(fail(seen, early_cure()))
+        findings.append(fail(f"{certificate.outdated()}: browsers refuse it", early_cure(certificate.renewal)))
     elif certificate.days_left() < SOON_DAYS:
-        cure = "'midspan keys make NAME --replace', and copy the files; the console loads them by itself"
-        findings.append(
-            warn(f"{certificate.file} expires in {certificate.days_left()} days, and browsers refuse it then", cure)
-        )
+        seen = f"{certificate.title} expires in {certificate.days_left()} days, and browsers refuse it then"
+        findings.append(warn(seen, f"{certificate.renewal}, then copy the files; the console loads them by itself"))
     if files.others_may_use_key():
         findings.append(warn(f"other users can read {files.key}, and pose as this console", f"chmod 600 {files.key}"))
     strange = [name for name in web.names if name not in certificate.names]

@@ -80,5 +80,6 @@ def test_a_certificate_that_is_not_valid_yet_is_reported(tmp_path: Path, monkeyp
     Authority(tmp_path).issue("robot1")
     finding = only(check_certificate(place(tmp_path)))
     assert finding.result is Result.FAIL
-    assert "is not valid before" in finding.seen
-    assert "clock" in finding.cure
+    assert finding.seen.startswith(f"this machine's certificate {tmp_path}/robot1.pem is not valid before ")
+    assert "set this machine's clock" in finding.cure
+    assert "'midspan keys make robot1 --replace'" in finding.cure

@@ -11,7 +11,6 @@ from bridge.hub.security.key_files import KeyFiles
 from bridge.status import RouterStatus
 
 SOON_DAYS = 30
-_RENEW = "run 'midspan keys make NAME --replace', and copy the files; the router loads them without a restart"
 
 
 def check_keys(context: CheckContext) -> Findings:
@@ -57,14 +56,13 @@ def _untrusted(name: str, context: CheckContext) -> list[Finding]:
 
 def _validity(certificate: Certificate) -> list[Finding]:
     """Return a finding if a certificate is not valid yet, has expired, or expires soon."""
-    if certificate.begins_later():
-        seen = f"{certificate.file} is not valid before {certificate.since:%Y-%m-%d %H:%M} UTC: no machine accepts it"
-        return [fail(seen, early_cure())]
+    renew = f"{certificate.renewal}, then copy the files; the router loads them without a restart"
+    if outdated := certificate.outdated():
+        early = certificate.begins_later()
+        return [fail(f"{outdated}: no machine accepts it", early_cure(certificate.renewal) if early else renew)]
     left = certificate.days_left()
-    if left < 0:
-        return [fail(f"{certificate.file} expired on {certificate.until:%Y-%m-%d}: no machine accepts it", _RENEW)]
     if left < SOON_DAYS:
-        return [warn(f"{certificate.file} expires in {left} days", _RENEW)]
+        return [warn(f"{certificate.title} expires on {certificate.until:%Y-%m-%d}, in {left} days", renew)]
     return []
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import ipaddress
 import os
 import re
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -33,6 +34,7 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,62}")
 _HOST = re.compile(
     r"(?=.{1,253}$)[A-Za-z0-9_](?:[A-Za-z0-9_-]*[A-Za-z0-9_])?(?:\.[A-Za-z0-9_](?:[A-Za-z0-9_-]*[A-Za-z0-9_])?)*"
 )
+_MINUTE = "%Y-%m-%d %H:%M UTC"
 _EARLIER = timedelta(days=1)
 """Certificates are valid from the day before, for machines whose clocks are slow."""
 
@@ -65,6 +67,29 @@ class Certificate:
     def begins_later(self) -> bool:
         """Return whether it is not valid yet according to this machine's clock."""
         return self.since > datetime.now(UTC)
+
+    @property
+    def title(self) -> str:
+        """The certificate's owner, if it is in this machine's configuration, and its file."""
+        owner = "the authority" if self.authority else "this machine"
+        return f"{owner}'s certificate {self.file}"
+
+    def outdated(self) -> str:
+        """Return why it is not valid now according to this machine's clock, with the time of its validity; else ""."""
+        if self.begins_later():
+            return f"{self.title} is not valid before {self.since:{_MINUTE}} (then until {self.until:%Y-%m-%d})"
+        if self.until < datetime.now(UTC):
+            return f"{self.title} expired on {self.until:{_MINUTE}} (it was valid from {self.since:%Y-%m-%d})"
+        return ""
+
+    @property
+    def renewal(self) -> str:
+        """The command that makes a new certificate in its place, and where to run it."""
+        if self.authority:
+            return "'midspan keys make NAME --folder DIR' in a new folder makes a new authority; renew all certificates"
+        addresses = [name for name in self.names if name not in (self.name, f"{self.name}.local")]
+        command = shlex.join(["midspan", "keys", "make", self.name, *addresses, "--replace"])
+        return f"'{command}' on the machine with the authority's {AUTHORITY}.key renews it"
 
 
 class Authority:
@@ -199,10 +224,8 @@ def trouble(files: KeyFiles) -> str:
         certificate, signed = read_certificate(files.certificate), signed_by(files.certificate, files.ca)
     except (HubConfigError, CertificateError) as err:
         return str(err)
-    if certificate.until < datetime.now(UTC):
-        return (
-            f"{files.certificate} expired on {certificate.until:%Y-%m-%d}; renew it: midspan keys make NAME --replace"
-        )
+    if (outdated := certificate.outdated()) and not certificate.begins_later():
+        return f"{outdated}; {certificate.renewal}"
     if not signed:
         return f"{files.certificate} was not signed by {files.ca}; copy both from the same folder of 'midspan keys'"
     return ""
@@ -219,8 +242,7 @@ def early(files: KeyFiles) -> str:
         return ""
     if not certificate.begins_later():
         return ""
-    since = f"{certificate.since:%Y-%m-%d %H:%M} UTC"
-    return f"{files.certificate} is not valid before {since}; set this machine's clock, or renew the certificate"
+    return f"{certificate.outdated()}; set this machine's clock, or if it is right: {certificate.renewal}"
 
 
 def _load(file: Path) -> x509.Certificate:

@@ -13,7 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import psutil
@@ -165,8 +165,14 @@ class _Connect(_Endpoint):
         self._passes = 0
         self._reported = ""
 
-    def poll(self, links: Collection[ZenohLink], pool: WorkerPool, zenoh_log: ZenohLog | None, now: float) -> None:
-        """Compare the endpoint with the links, and test it if it has had no link for a while."""
+    def poll(
+        self, links: Collection[ZenohLink], pool: WorkerPool, zenoh_log: ZenohLog | None, now: float,
+        own_trouble: Reason | None = None,
+    ) -> None:  # fmt: skip
+        """Compare the endpoint with the links, and test it if it has had no link for a while.
+
+        ``own_trouble`` is why no machine accepts this machine's certificate, which explains a refusal exactly.
+        """
         if self.place is None:
             return
         if self._test is not None and self._test.done():
@@ -184,7 +190,11 @@ class _Connect(_Endpoint):
             self._machine = ""
             self._enter(Reason(EndpointState.CONNECTING))
         if test is not None:
-            self._judge(test.result(), links, zenoh_log, now)
+            result = test.result()
+            refused = result.reason.state is EndpointState.REFUSED
+            self._judge(
+                replace(result, reason=own_trouble) if refused and own_trouble else result, links, zenoh_log, now
+            )
         elif self._test is None and now >= self._due:
             self._start_test(pool, now)
 
@@ -391,6 +401,6 @@ class EndpointMonitor:
                 Reason(EndpointState.REFUSED, text, "'midspan doctor --only keys' checks the files") if text else None
             )
         for connect in self._connect:
-            connect.poll(links, self._pool, self._zenoh_log, now)
+            connect.poll(links, self._pool, self._zenoh_log, now, self._trouble if connect.has_tls else None)
         for listen in self._listen:
             listen.poll(self._zenoh_log, self._trouble if listen.has_tls else None, now)

@@ -231,8 +231,19 @@ def test_doctor_warns_before_a_certificate_expires(folder: Path, days: int, expe
 
 
 def test_an_expired_certificate_is_reported(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    Authority(folder).issue("robot1", days=-1, replace=True)
-    assert key_findings(folder)[0][0] is Result.FAIL
+    certificate = Authority(folder).issue("robot1", ["192.168.1.20", "arm"], days=-1, replace=True)
+    finding = only(
+        key_checks.check_keys(around({"hub": {"open": {"listen": ["tls/0.0.0.0:7448"], "keys": str(folder)}}}))
+    )
+    since, until = f"{certificate.since:%Y-%m-%d}", f"{certificate.until:%Y-%m-%d %H:%M} UTC"
+    assert finding.result is Result.FAIL
+    assert finding.seen == (
+        f"this machine's certificate {folder}/robot1.pem expired on {until} (it was valid from {since}):"
+        " no machine accepts it"
+    )
+    assert finding.cure.startswith(
+        "'midspan keys make robot1 192.168.1.20 arm --replace' on the machine with the authority's ca.key renews it"
+    )
     assert run(folder, "show") == 1
     assert "expired" in capsys.readouterr().out
 
@@ -255,7 +266,11 @@ def test_a_certificate_that_is_not_valid_yet_is_reported(
     text = f"not before {since:%Y-%m-%d %H:%M} UTC"
     ((result, seen),) = key_findings(folder)
     assert result is Result.FAIL
-    assert seen.startswith(f"{folder / which}.pem is not valid before {since:%Y-%m-%d %H:%M} UTC")
+    owner = {"ca": "the authority", "robot1": "this machine"}[which]
+    beginning = (
+        f"{owner}'s certificate {folder / which}.pem is not valid before {since:%Y-%m-%d %H:%M} UTC (then until "
+    )
+    assert seen.startswith(beginning)
     assert run(folder, "show") == 1
     (line,) = [line for line in capsys.readouterr().out.splitlines() if line.endswith(f"{which}.pem")]
     assert text in line

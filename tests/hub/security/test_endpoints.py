@@ -179,7 +179,22 @@ def test_an_expired_own_certificate_is_reported(tmp_path: Path, port: int) -> No
     Authority(tmp_path).make()
     Authority(tmp_path).issue("robot1", ["127.0.0.1"], days=-1)
     with Machine("robot1", tmp_path, listen=[f"tls/127.0.0.1:{port}"]) as robot:
-        assert "robot1.pem expired on" in robot.wait(EndpointState.REFUSED).reason
+        reason = robot.wait(EndpointState.REFUSED).reason
+    assert f"this machine's certificate {tmp_path}/robot1.pem expired on" in reason
+    assert (
+        "'midspan keys make robot1 127.0.0.1 --replace' on the machine with the authority's ca.key renews it" in reason
+    )
+
+
+def test_an_expired_own_certificate_explains_a_refused_connection(tmp_path: Path, port: int) -> None:
+    Authority(tmp_path).make()
+    Authority(tmp_path).issue("robot1", ["127.0.0.1"])
+    Authority(tmp_path).issue("operator1", days=-1)
+    place = f"tls/127.0.0.1:{port}"
+    with Machine("robot1", tmp_path, listen=[place]), Machine("operator1", tmp_path, connect=[place]) as operator:
+        reason = operator.wait(EndpointState.REFUSED).reason
+    assert reason.startswith(f"this machine's certificate {tmp_path}/operator1.pem expired on ")
+    assert "'midspan keys make operator1 --replace'" in reason
 
 
 def test_an_own_certificate_that_is_not_valid_yet_is_reported(
