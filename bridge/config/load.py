@@ -24,6 +24,9 @@ Config.model_rebuild()  # imports the models of all sections
 # paths that need not exist, because Midspan creates them
 CREATED_PATHS: frozenset[KeyPath] = frozenset({("state",), ("record", "folder")})
 
+_FOLDERS = frozenset({"state", "folder", "folders", "keys", "packages"})
+"""The names of keys whose paths are folders; all other paths are files."""
+
 
 def find(environ: Mapping[str, str] = os.environ) -> Path | None:
     """Return the file to use if the caller names none; None to use the defaults.
@@ -114,17 +117,22 @@ def _resolve_paths(value: Any, path: KeyPath, document: Document, missing: list[
         missing.append(document.problem(path, f"the home folder in {value} is unknown; write the whole path"))
         return value
     absolute = Path(os.path.abspath(document.file.parent / expanded))  # noqa: PTH100  keeps symbolic links
-    if path not in CREATED_PATHS and (reason := _unreadable(absolute)):
+    names = [part for part in path if isinstance(part, str)]
+    if reason := _unusable(absolute, folder=names[-1] in _FOLDERS, needed=path not in CREATED_PATHS):
         missing.append(document.problem(path, reason))
     return absolute
 
 
-def _unreadable(path: Path) -> str:
-    """Return why a file or folder is missing for this user, "" if it exists."""
+def _unusable(path: Path, *, folder: bool, needed: bool) -> str:
+    """Return why this user cannot use a file or folder, "" if it exists, or is missing and not ``needed``."""
     try:
-        return "" if path.exists() else f"no such file or folder: {path}"
+        exists, fits = path.exists(), path.is_dir() == folder
     except OSError as err:  # for example in a folder of another user
         return f"cannot read {path}: {err.strerror}"
+    if not exists:
+        return f"no such file or folder: {path}" if needed else ""
+    mistake = "is a file, not a folder" if folder else "is a folder, not a file"
+    return "" if fits else f"{path} {mistake}"
 
 
 def _mapping_rule_problems(document: Document, config: Config) -> list[Problem]:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bridge.config.document import ConfigError, Document, KeyPath, Place, Problem, key_text, read, text_of
-from bridge.config.sections.section import is_loopback, not_one_of, zenoh_endpoint
+from bridge.config.sections.section import is_loopback, not_one_of, zenoh_destination, zenoh_endpoint
 from bridge.config.zenoh_effects import DIALECTS, OPEN, ROUTER, WORKERS, Flaw, Tree, changed, texts, unusable
 from bridge.config.zenoh_plugins import replacement
 
@@ -264,11 +264,11 @@ def _differences(given: Any, read: Any, path: KeyPath) -> Iterator[tuple[KeyPath
 
 
 def _bad_endpoints(tree: Tree, *, local: bool) -> Iterator[Flaw]:
-    for part in ("listen", "connect"):
+    for part, check in (("listen", zenoh_endpoint), ("connect", zenoh_destination)):
         section = tree.get(part)
         for path, text in texts(section.get("endpoints") if isinstance(section, dict) else None, (part, "endpoints")):
             try:
-                zenoh_endpoint(text)
+                check(text)
                 if local and not is_loopback(text):
                     yield path, f"{text} is open to other machines, which may join only through hub.open"
             except ValueError as err:

@@ -3,14 +3,35 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import Field, field_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 from typing_extensions import override
 
-from bridge.config.sections.section import PORT, ModuleSection, Section, differ, setting, subsection
+from bridge.config.sections.section import (
+    PORT,
+    YARP_PORT,
+    ModuleSection,
+    Section,
+    TopicName,
+    differ,
+    setting,
+    subsection,
+)
 
 DEGREES = "degrees per second"
+
+WHEELS = {"cer": 2, "ikart_V1": 3}
+"""The kinds of base, and how many wheels they have."""
+
+
+def _port_below_prefix(name: str) -> str:
+    if not YARP_PORT.fullmatch(f"/{name.removeprefix('/')}"):
+        raise ValueError(f"{name!r} is not a name of a YARP port below `prefix`: write it as aux_control:i")
+    return name
+
+
+_InputPort = Annotated[str, AfterValidator(_port_below_prefix)]
 
 
 class BaseInput(Section):
@@ -18,14 +39,14 @@ class BaseInput(Section):
 
     name: str = Field(min_length=1, description="Name of the input, for status and logs.")
     timeout: float = setting(0.1, "Seconds after the input's last command until the base stops.", gt=0.0, le=5.0)
-    ports: tuple[str, ...] = setting(
+    ports: tuple[_InputPort, ...] = setting(
         (),
         "YARP ports below `prefix`: `input/joystick` opens `input/joystick/rpc:i` and `.../data:i`, as YARP's"
         " `mobileBaseVelocityControl_nws_yarp` does; `aux_control:i` takes a `MobileBaseVelocity`; other names that"
         " end in `:i` take the Bottle `(type a b c gain)` of joysticks and RobotGoto.",
     )
-    twist: tuple[str, ...] = setting((), "Topics of `Twist` and `TwistStamped`, m/s and rad/s.")
-    joy: tuple[str, ...] = setting((), "Topics of `Joy`.")
+    twist: tuple[TopicName, ...] = setting((), "Topics of `Twist` and `TwistStamped`, m/s and rad/s.")
+    joy: tuple[TopicName, ...] = setting((), "Topics of `Joy`.")
 
 
 INPUTS = (
@@ -52,7 +73,9 @@ class BaseControlSection(ModuleSection):
     """The driver of a mobile base. Default measures and limits are those of R1."""
 
     ini: Path | None = setting(None, "A `baseCtrl` file of an existing robot; keys set here override it.")
-    kind: str = setting("cer", "`cer`: two wheels, like R1; `ikart_V1`: three omnidirectional wheels.")
+    kind: Literal["cer", "ikart_V1"] = setting(
+        "cer", "`cer`: two wheels, like R1; `ikart_V1`: three omnidirectional wheels."
+    )
     wheel_radius: float = setting(0.16416, "Radius of the wheels, meters (`geom_r`).", gt=0.0, lt=10.0)
     wheel_distance: float = setting(
         0.338, "Meters between the two wheels; `ikart_V1`: from the center to a wheel (`geom_L`).", gt=0.0, lt=10.0
@@ -97,9 +120,9 @@ class BaseControlSection(ModuleSection):
     inputs: tuple[BaseInput, ...] = setting(
         (), "The inputs, highest rank first; empty: the list in docs/navigation/base_control.md."
     )
-    wheel_command: str = setting("/wheel_command", "Topic of the wheels' velocities (`JointState`, rad/s).")
-    joint_states: str = setting("/joint_states", "Topic of the wheels' encoders (`JointState`).")
-    odom: str = setting("/odom", "Topic of the odometry (`nav_msgs/Odometry`).")
+    wheel_command: TopicName = setting("/wheel_command", "Topic of the wheels' velocities (`JointState`, rad/s).")
+    joint_states: TopicName = setting("/joint_states", "Topic of the wheels' encoders (`JointState`).")
+    odom: TopicName = setting("/odom", "Topic of the odometry (`nav_msgs/Odometry`).")
     odom_frame: str = setting("odom", "The odometry's frame.", min_length=1)
     base_frame: str = setting("base_link", "The base's frame.", min_length=1)
     publish_tf: bool = setting(True, "Whether the odometry is also on `/tf`.")
@@ -114,3 +137,10 @@ class BaseControlSection(ModuleSection):
     def _names_differ(cls, value: tuple[BaseInput, ...]) -> tuple[BaseInput, ...]:
         differ([item.name for item in value], "two inputs have the name")
         return value
+
+    @model_validator(mode="after")
+    def _joints_fit(self) -> BaseControlSection:
+        count, wheels = len(self.joints), WHEELS[self.kind]
+        if self.ini is None and count not in (0, wheels):  # the file may set the kind
+            raise ValueError(f"'joints' names {count}, but a base of the kind {self.kind} has {wheels} wheels")
+        return self

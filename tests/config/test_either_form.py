@@ -28,7 +28,7 @@ def value(text: str, *path: str) -> Any:
         ("hub: {open: {listen: ['tls/0.0.0.0:7448']}}", ("hub", "open", "listen"), ("tls/0.0.0.0:7448",)),
         ("hub: {open: {connect: 'tls/r:7448', trusted: r}}", ("hub", "open", "connect"), ("tls/r:7448",)),
         ("hub: {open: {connect: 'tls/r:7448', trusted: '*'}}", ("hub", "open", "trusted"), ("*",)),
-        ("hub: {listen: 'tcp/[::1]:0'}", ("hub", "listen"), "tcp/[::1]:0"),
+        ("hub: {listen: 'tcp/[::1]:7'}", ("hub", "listen"), "tcp/[::1]:7"),
         ("hub: {listen: 'tcp/localhost:7450#iface=lo'}", ("hub", "listen"), "tcp/localhost:7450#iface=lo"),
         ("hub: {listen: 'unixsock-stream//tmp/hub'}", ("hub", "listen"), "unixsock-stream//tmp/hub"),
         ("hub: {open: {connect: 'quic/r:7448?prio=1-3'}}", ("hub", "open", "connect"), ("quic/r:7448?prio=1-3",)),

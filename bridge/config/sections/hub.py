@@ -7,14 +7,23 @@ from typing import Annotated, Any
 
 from pydantic import Field, field_validator, model_validator
 
-from bridge.config.sections.section import Enabled, Section, ZenohEndpoint, is_loopback, same_port, setting, subsection
+from bridge.config.sections.section import (
+    Enabled,
+    Section,
+    ZenohDestination,
+    ZenohEndpoint,
+    is_loopback,
+    same_port,
+    setting,
+    subsection,
+)
 
 
 class OpenSection(Section):
     """The hub's endpoints for other machines, none until `listen` or `connect` is set; see docs/operate/security.md."""
 
     listen: tuple[ZenohEndpoint, ...] = setting((), "Where other machines connect, for example `tls/0.0.0.0:7448`.")
-    connect: tuple[ZenohEndpoint, ...] = setting(
+    connect: tuple[ZenohDestination, ...] = setting(
         (), "Machines to connect to, for example `tls/robot1:7448`; use a name or address that is in their certificate."
     )
     trusted: tuple[Annotated[str, Field(min_length=1, max_length=64)], ...] = setting(
@@ -58,7 +67,7 @@ class HubSection(Section):
     """The hub: one ROS 2 graph on zenoh in rmw_zenoh's format."""
 
     domain: int = setting(0, "ROS domain id of the hub, the first part of each key.", ge=0, le=232)
-    listen: ZenohEndpoint = setting(
+    listen: ZenohDestination = setting(
         "tcp/127.0.0.1:7447", "Where the daemon's router listens, for this machine only; `open` lets others in."
     )
     router: Enabled = setting("auto", "Whether the daemon runs a router; `auto`: unless one answers at `listen`.")

@@ -9,7 +9,7 @@ from typing import Literal
 from pydantic import field_validator, model_validator
 
 from bridge.config.sections.listen import split
-from bridge.config.sections.section import EMBEDDED, Enabled, MasterUri, NodeName, SideSection, setting
+from bridge.config.sections.section import EMBEDDED, Address, Enabled, MasterUri, NodeName, SideSection, setting
 
 _ANY = ("0.0.0.0", "::")  # noqa: S104  only compared, never bound
 
@@ -30,8 +30,8 @@ class Ros1Section(SideSection):
         ge=0,
         le=86400,
     )
-    ip: str | None = setting(None, "Address that this machine gives to ROS 1 peers (ROS_IP).")
-    hostname: str | None = setting(None, "Host name that this machine gives to ROS 1 peers (ROS_HOSTNAME).")
+    ip: Address | None = setting(None, "Address that this machine gives to ROS 1 peers (ROS_IP).")
+    hostname: Address | None = setting(None, "Host name that this machine gives to ROS 1 peers (ROS_HOSTNAME).")
     node: NodeName = setting("midspan", "Node name on the ROS 1 graph.")
     poll: float = setting(
         0.5, "Seconds between two polls of the master; up to 2 with hundreds of topics.", ge=0.05, le=10

@@ -192,7 +192,20 @@ def zenoh_endpoint(endpoint: str) -> str:
     return endpoint
 
 
+def zenoh_destination(endpoint: str) -> str:
+    """Return a zenoh endpoint to connect to; raises `ValueError` as `zenoh_endpoint` does, and for port 0."""
+    address = re.split(r"[?#]", zenoh_endpoint(endpoint))[0]
+    if not endpoint.startswith("unixsock-stream/") and not int(address.rpartition(":")[2]):
+        raise ValueError(f"{endpoint!r} has port 0, to which no program can connect; give the listener's port")
+    return endpoint
+
+
 ZenohEndpoint = Annotated[str, AfterValidator(zenoh_endpoint)]
+ZenohDestination = Annotated[str, AfterValidator(zenoh_destination)]
+Address = Annotated[
+    str,
+    matching(r"[\w.:%-]*", "is not an address or a host name; write it like 192.168.1.20 or robot1.local"),
+]
 SmallName = Annotated[
     str,
     matching(r"[a-z][a-z0-9_]{0,62}", "is not a name: use lowercase letters, digits and underscores, a letter first"),
@@ -217,7 +230,7 @@ def _master_uri(value: str) -> str:
         port = parts.port
     except ValueError:
         port = None
-    if port is None:
+    if not port:
         msg = f"{value!r} has no valid port; a master's is 11311 by default, for example http://{parts.hostname}:11311"
         raise ValueError(msg)
     return value

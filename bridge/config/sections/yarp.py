@@ -8,7 +8,16 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, ConfigDict, Field, field_validator, model_validator
 from typing_extensions import override
 
-from bridge.config.sections.section import ROS2_NAME, Enabled, PortName, Section, SideSection, matching, setting
+from bridge.config.sections.section import (
+    ROS2_NAME,
+    Address,
+    Enabled,
+    PortName,
+    Section,
+    SideSection,
+    matching,
+    setting,
+)
 from yarp_compat.wire.generation import Findings, Generation, Generations
 from yarp_compat.wire.profile import Profile
 
@@ -188,7 +197,7 @@ class YarpSection(SideSection):
         "Range of TCP ports for Midspan's YARP ports; default `20000-29999` if the name server is at 10000; `server`:"
         " the name server chooses, as for YARP's own programs.",
     )
-    ip: str | None = setting(None, "Address that Midspan's ports listen on and announce; default: that of YARP_IP.")
+    ip: Address | None = setting(None, "Address that Midspan's ports listen on and announce; default: that of YARP_IP.")
     profile: ProfileName = setting(
         "yarp3", "Wire format for ports that do not announce their release: `yarp3` for YARP 3, `yarp4` for YARP 4."
     )

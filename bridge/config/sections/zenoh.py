@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from bridge.config.sections.section import ROS2_NAME, Enabled, Section, SideSection, ZenohEndpoint, matching, setting
+from bridge.config.sections.section import ROS2_NAME, Enabled, Section, SideSection, ZenohDestination, matching, setting
 
 _PLAIN_KEY = re.compile(r"[^\s/*$?#@]+(?:/[^\s/*$?#@]+)*")
 _HUB_KEY = re.compile(r"[0-9]+/.+/.+::dds_::.+/RIHS[0-9]{2}_.+")
@@ -118,7 +118,7 @@ class ZenohSection(SideSection):
     """
 
     enabled: Enabled = setting("auto", "`auto`: enabled if a dialect is configured.")
-    router: ZenohEndpoint | None = setting(
+    router: ZenohDestination | None = setting(
         None, "Router of another zenoh network, for example `tcp/robot1:7447`; default: the hub's own network."
     )
     zenoh: dict[str, Any] | Path | None = setting(

@@ -181,4 +181,4 @@ def test_a_missing_file_is_rejected(tmp_path: Path) -> None:
 
 def test_a_wrong_number_of_joints_is_rejected() -> None:
     with pytest.raises(RuntimeError, match="has 2 wheels, not 1"):
-        resolved(BaseControlSection(joints=("one",)))
+        resolved(BaseControlSection().model_copy(update={"joints": ("one",)}))
