@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 from bridge.config.sections.section import Mistake
 from sim import pieces, robot
 from sim.environment import SimError
 from sim.plan import Floor, Plan, Pose, load_plan
 from sim.robot import RobotDescription
-from sim.section import SimSection
+
+if TYPE_CHECKING:
+    from sim.section import SimSection
 
 
 def mistakes(section: SimSection) -> Iterator[Mistake]:

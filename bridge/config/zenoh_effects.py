@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from bridge.config.document import KeyPath
 from bridge.config.sections.section import is_loopback
+from bridge.config.zenoh_values import Tree
 
 if TYPE_CHECKING:
     from bridge.config.model import Config
 
-Tree = dict[str, Any]
 Flaw = tuple[KeyPath, str]
 """The place of a problem within one zenoh configuration, and its text."""
 
@@ -141,17 +141,3 @@ def texts(value: Any, path: KeyPath) -> Iterator[tuple[KeyPath, str]]:
         for part, inner in value.items() if isinstance(value, dict) else enumerate(value):
             if part != "strategy":
                 yield from texts(inner, (*path, part))
-
-
-def changed(tree: Tree, defaults: Mapping[str, Any]) -> Tree:
-    """Return the values of a configuration that differ from zenoh's defaults."""
-    values: Tree = {}
-    for key, value in tree.items():
-        default = defaults.get(key)
-        if isinstance(value, dict) and isinstance(default, Mapping):
-            below = changed(value, default)
-            if below:
-                values[key] = below
-        elif value is not None and value != default:
-            values[key] = value
-    return values

@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 from bridge.config.document import ConfigError, Document, KeyPath, Place, Problem, key_text, read, text_of
 from bridge.config.sections.section import is_loopback, not_one_of, zenoh_destination, zenoh_endpoint
-from bridge.config.zenoh_effects import DIALECTS, OPEN, ROUTER, WORKERS, Flaw, Tree, changed, texts, unusable
+from bridge.config.zenoh_effects import DIALECTS, OPEN, ROUTER, WORKERS, Flaw, texts, unusable
 from bridge.config.zenoh_plugins import replacement
+from bridge.config.zenoh_values import Tree, changed
 
 if TYPE_CHECKING:
     from bridge.config.model import Config

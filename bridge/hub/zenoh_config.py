@@ -9,7 +9,7 @@ from typing import Any
 
 import zenoh
 
-from bridge.config.zenoh_effects import Tree, changed
+from bridge.config.zenoh_values import Tree, changed
 from bridge.hub.errors import HubConfigError, zenoh_reason
 
 MAX_PAYLOAD = 256 << 20
