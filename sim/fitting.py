@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 from bridge.config.sections.section import Mistake
 from sim import pieces, robot
@@ -11,46 +11,51 @@ from sim.environment import SimError
 from sim.plan import Floor, Plan, Pose, load_plan
 from sim.robot import RobotDescription
 
-if TYPE_CHECKING:
-    from sim.section import SimSection
 
-
-def mistakes(section: SimSection) -> Iterator[Mistake]:
-    """Yield the keys of the section with which the simulation would not start, and the reasons."""
+def mistakes(
+    plan: str | Path,
+    resolution: float,
+    robot_name: str | Path,
+    start: Pose | None,
+    scale: Sequence[float],
+    *,
+    people: bool,
+) -> Iterator[Mistake]:
+    """Yield the keys of the section with which the simulation would not start, and the reasons; see `SimSection`."""
     try:
-        description = robot.load(section.robot)
+        description = robot.load(robot_name)
     except SimError as err:
         yield ("robot",), str(err)
         return
-    if reason := wrong_scale(section, description):
+    if reason := wrong_scale(scale, description):
         yield ("encoders", "scale"), reason
     try:
-        plan = load_plan(section.plan, section.resolution)
+        building = load_plan(plan, resolution)
     except SimError as err:
         yield ("plan",), str(err)
         return
-    if reason := wrong_start(section, plan, description):
-        yield ("start",) if section.start else ("plan",), reason
+    if reason := wrong_start(start, building, description, people=people):
+        yield ("start",) if start else ("plan",), reason
 
 
-def wrong_scale(section: SimSection, description: RobotDescription) -> str:
+def wrong_scale(scale: Sequence[float], description: RobotDescription) -> str:
     """Return why the encoders' errors do not fit the robot, "" if they do."""
-    count, wheels = len(section.encoders.scale), description.wheels.names
+    count, wheels = len(scale), description.wheels.names
     if count in (0, len(wheels)):
         return ""
     found = "1 value" if count == 1 else f"{count} values"
     return f"has {found}, and needs {len(wheels)}, one for each wheel of {description.name}: {', '.join(wheels)}"
 
 
-def wrong_start(section: SimSection, plan: Plan, description: RobotDescription) -> str:
+def wrong_start(start: Pose | None, plan: Plan, description: RobotDescription, *, people: bool) -> str:
     """Return why the robot cannot start at its start pose, "" if it can."""
     floor = plan.floors[plan.first]
-    x, y, _ = section.start or floor.start
+    x, y, _ = start or floor.start
     left, bottom, right, top = _area(floor)
     if not (left <= x <= right and bottom <= y <= top):
         area = f"x from {left:.2f} to {right:.2f}, y from {bottom:.2f} to {top:.2f}"
         return f"{x:.2f}, {y:.2f} is outside the plan {plan.name} ({area}, meters)"
-    reason = pieces.occupant(pieces.at_start(floor, people=section.people), description.body, x, y)
+    reason = pieces.occupant(pieces.at_start(floor, people=people), description.body, x, y)
     return f"{reason}; it needs {description.body.radius:.2f} m of room on all sides" if reason else ""
 
 

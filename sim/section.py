@@ -149,4 +149,4 @@ class SimSection(Section):
             return ()
         from sim.fitting import mistakes  # imports numpy
 
-        return mistakes(self)
+        return mistakes(self.plan, self.resolution, self.robot, self.start, self.encoders.scale, people=self.people)

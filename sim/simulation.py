@@ -41,9 +41,9 @@ class Simulation:
         whole = plan or load_plan(section.plan, section.resolution)
         self.plan = whole if section.people else whole.without_people
         self.robot = description or robot.load(section.robot)
-        if reason := wrong_scale(section, self.robot):
+        if reason := wrong_scale(section.encoders.scale, self.robot):
             raise SimError(f"sim.encoders.scale {reason}")
-        if reason := wrong_start(section, self.plan, self.robot):
+        if reason := wrong_start(section.start, self.plan, self.robot, people=section.people):
             raise SimError(f"the start pose: {reason}")
         self.time_ns = 0
         self.begin()
