@@ -32,6 +32,7 @@ from bridge.adapters.ros2.loop import QueueReadLoop, WaitSetReadLoop
 from bridge.adapters.ros2.participant import mismatch
 from bridge.adapters.ros2.releases import current
 from bridge.adapters.ros2.services.caller import Ros2Caller
+from bridge.adapters.ros2.services.final_state import call_with_final_state, refusal_with_final_state
 from bridge.adapters.ros2.services.held import HeldRequests
 from bridge.adapters.ros2.services.server import Ros2Server
 from bridge.adapters.ros2.topics.publisher import Ros2Publisher
@@ -41,10 +42,10 @@ from bridge.adapters.ros2.versions import EndpointVersions, Notes
 from bridge.adapters.side_edge import SideEdge
 from bridge.concurrency import DelayedCalls
 from bridge.config.model import Config
-from bridge.hub.endpoints.calls import Abandon, Call, Done
+from bridge.hub.endpoints.calls import Call
 from bridge.hub.graph.tokens import Origin
 from bridge.hub.wire.qos import Qos, Reliability
-from bridge.messages.actions import GET_RESULT, GoalState, split
+from bridge.messages.actions import GET_RESULT, split
 from bridge.messages.definitions.hashes import rihs01
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.registry import Registry
@@ -369,7 +370,7 @@ class Ros2Edge(SideEdge):
         service_class = self._service_class(side_type)
         refuse = refusal(self._registry, side_type.name, side_type.type_id)
         if split(name)[1] == GET_RESULT:
-            call, refuse = partial(_call_with_final_state, call), _refusal_with_final_state(refuse)
+            call, refuse = partial(call_with_final_state, call), refusal_with_final_state(refuse)
         replaced, (request, _) = partial(self._is_served, name), self._part_hashes(side_type)
         converters = partial(self._versions.of_client, side_type.name, side_type.type_id, request)
         context = self._started()
@@ -474,22 +475,3 @@ class Ros2Edge(SideEdge):
             f" which uses {release.fast_dds} ({release.name}): their messages use UDP, not shared memory"
         )
         return [text]
-
-
-_STATUS = 4
-"""Offset of the goal's status in a GetResult response in CDR."""
-
-
-def _with_final_state(response: bytes) -> bytes:
-    """Return a GetResult response with a final state: UNKNOWN on the hub becomes ABORTED for a ROS 2 client."""
-    if response[_STATUS : _STATUS + 1] != bytes([GoalState.UNKNOWN]):
-        return response
-    return response[:_STATUS] + bytes([GoalState.ABORTED]) + response[_STATUS + 1 :]
-
-
-def _refusal_with_final_state(refuse: Callable[[], bytes] | None) -> Callable[[], bytes] | None:
-    return None if refuse is None else lambda: _with_final_state(refuse())
-
-
-def _call_with_final_state(call: Call, request: bytes, done: Done) -> Abandon:
-    return call(request, lambda reply: done(_with_final_state(reply) if isinstance(reply, bytes) else reply))
