@@ -72,6 +72,32 @@ def test_the_environment_of_ros2_is_checked(
     assert words in f"{finding.seen} {finding.cure}"
 
 
+@pytest.mark.parametrize(
+    ("config", "limit", "result", "words"),
+    [
+        ({}, "212992", Result.SKIP, "large messages use shared memory"),
+        ({"enabled": False, "localhost_only": False}, "212992", Result.SKIP, "ros2.enabled is false"),
+        ({"localhost_only": False}, "212992", Result.WARN, "write net.core.rmem_max=4194304 to /etc/sysctl.d/90-ros2"),
+        ({"transport": "udp"}, "212992", Result.WARN, "net.core.rmem_max is 212992, less than 4194304"),
+        ({"profile": "own.xml"}, "212992", Result.WARN, "sudo sysctl --system"),
+        ({"rmw": "rmw_cyclonedds_cpp"}, "212992", Result.WARN, "over UDP are lost"),
+        ({"localhost_only": False}, "4194304", Result.OK, "use net.core.rmem_default, which is 212992"),
+        ({"localhost_only": False}, None, Result.SKIP, "in a container"),
+    ],
+)
+def test_the_kernels_receive_buffers_are_checked(
+    tmp_path: Path, config: dict[str, object], limit: str | None, result: Result, words: str
+) -> None:
+    core = tmp_path / "sys/net/core"
+    core.mkdir(parents=True)
+    (core / "rmem_default").write_text("212992\n")
+    if limit is not None:
+        (core / "rmem_max").write_text(f"{limit}\n")
+    finding = only(ros2.check_buffers(around({"ros2": config}, proc=tmp_path)))
+    assert finding.result is result
+    assert words in f"{finding.seen} {finding.cure}"
+
+
 def test_a_shell_with_another_domain_than_the_running_daemons_is_reported() -> None:
     env = {**os.environ, "ROS_DOMAIN_ID": "23"}
     with Process([sys.executable, "-c", "import sys; sys.stdin.read()", "midspan"], env, pipes=True) as worker:

@@ -43,6 +43,7 @@ CONFIGS, PEERS = ROOT / "configs", ROOT / "tests" / "peers"
 APARTMENT = str(CONFIGS / "apartment" / "apartment.yaml")
 MACHINE_CHECKS = {
     "kernels", "wheels", "compiler", "clock", "shm-users", "shm-size", "shm-litter", "shm-ports", "descriptors",
+    "ros2-buffers",
 }  # fmt: skip
 VOLATILE = ("daemon", "types", "type-hash", "keys")
 """Checks whose result changes while a deployment starts."""

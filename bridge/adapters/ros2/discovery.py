@@ -163,7 +163,7 @@ def _sockets(server: Server) -> frozenset[str]:
     """Return the inodes of this machine's sockets at a server's port; empty if unknown or on another machine."""
     if not _is_here(server.host):
         return frozenset()
-    return frozenset(inode for port, inode in udp_sockets() or () if port == server.port)
+    return frozenset(found.inode for found in udp_sockets() or () if found.port == server.port)
 
 
 class _Watched:

@@ -30,6 +30,7 @@ from bridge.adapters.ros2.graph.ports import PortWatch
 from bridge.adapters.ros2.graph.presence import TYPE, PresenceTopic
 from bridge.adapters.ros2.loop import QueueReadLoop, WaitSetReadLoop
 from bridge.adapters.ros2.participant import mismatch
+from bridge.adapters.ros2.receive_buffers import DropWatch
 from bridge.adapters.ros2.releases import current
 from bridge.adapters.ros2.services.caller import Ros2Caller
 from bridge.adapters.ros2.services.final_state import call_with_final_state, refusal_with_final_state
@@ -93,6 +94,7 @@ class Ros2Edge(SideEdge):
         self._interfaces: InterfaceWatch | None = None
         self._ports: PortWatch | None = None
         self._servers: ServerWatch | None = None
+        self._drops: DropWatch | None = None
         self._context: Ros2Context | None = None
         self._origins: Origins | None = None
         self._presence: PresenceTopic | None = None
@@ -112,6 +114,7 @@ class Ros2Edge(SideEdge):
         if segment and self._config.ros2.transport == "auto" and self._config.ros2.profile is None:
             major = current().fast_dds_major
             self._neighbors = neighbors.MemoryNeighbors(self._prefix, major, number, self._leave_shared_memory, later)
+        self._drops = DropWatch(later)
         if not self._localhost_only:
             self._interfaces = InterfaceWatch(self._use_new_addresses, later, addresses)
         if self._config.ros2.rmw != CYCLONE:
@@ -439,7 +442,7 @@ class Ros2Edge(SideEdge):
 
     @override
     def warnings(self) -> list[str]:
-        """Return warnings about QoS, versions, nodes on another DDS, new addresses and discovery servers."""
+        """Return warnings about QoS, versions, nodes on another DDS, new addresses, drops and discovery servers."""
         offers: dict[str, set[Qos]] = {}
         advertised: dict[str, str] = {}
         separated, served = set[str](), set[str]()
@@ -455,6 +458,7 @@ class Ros2Edge(SideEdge):
         warnings = self._dds.warnings(self.endpoints(), served)
         warnings += self._over_udp() + self._versions.warnings(self.endpoints(), advertised, separated)
         warnings += [self._interfaces.text] if self._interfaces is not None and self._interfaces.text else []
+        warnings += [self._drops.text] if self._drops is not None and self._drops.text else []
         warnings += self._servers.texts if self._servers is not None else []
         for endpoint in self.endpoints():
             if endpoint.kind is Kind.SUBSCRIPTION and endpoint.made_by is MadeBy.NATIVE:

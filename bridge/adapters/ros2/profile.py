@@ -13,6 +13,8 @@ Measured with Fast DDS 2.14.5, against nodes with its default settings:
   2.6 s, with a heartbeat every 0.5 s for up to 0.5 s. The more frequent heartbeats cost no measurable processor time
   with 500 topics at 10 Hz.
 - The default shared-memory segment (512 kB) makes a message of 1 MB five times slower than a large segment.
+- The kernel's default receive buffer is too small for large best-effort messages over UDP: see
+  `bridge.adapters.ros2.receive_buffers`.
 - With the range SYSTEM_DEFAULT, rmw_fastrtps ignores ``ROS_STATIC_PEERS``. So this profile contains the static peers.
 - By default (0 s) the NACK suppression of a reliable writer wakes the timer thread after each sample, which then waits
   for the writer's lock: two thread switches per message.
@@ -33,7 +35,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-from bridge.adapters.ros2 import own_profile, rcl
+from bridge.adapters.ros2 import own_profile, rcl, receive_buffers
 from bridge.adapters.ros2.environment import STATIC_PEERS, SWITCHES, UNSET
 from bridge.adapters.ros2.graph import neighbors
 from bridge.adapters.ros2.graph.origins import ALL_NUMBERS, new_prefix, participant_number, stored_prefixes
@@ -48,8 +50,6 @@ _log = logging.getLogger(__name__)
 _NAMESPACE = "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"
 _QUEUE = "8192"
 """Limit of the messages in this participant's shared memory that Fast DDS has not read yet."""
-
-_UDP_BUFFER = str(4 * 1024 * 1024)
 
 _HEARTBEAT_NS = "500000000"
 """Nanoseconds between a writer's heartbeats while samples are not acknowledged; each prompts readers to request what
@@ -114,9 +114,8 @@ class FastDdsProfile:
         _add_texts(descriptor, port_queue_capacity=_QUEUE)
 
     def _udp(self, descriptor: ET.Element) -> None:
-        _add_texts(
-            descriptor, transport_id="udp", type="UDPv4", sendBufferSize=_UDP_BUFFER, receiveBufferSize=_UDP_BUFFER
-        )
+        buffer = str(receive_buffers.WANTED)
+        _add_texts(descriptor, transport_id="udp", type="UDPv4", sendBufferSize=buffer, receiveBufferSize=buffer)
         # a machine in `peers` may have another Midspan daemon, whose participant has a high number
         _add_texts(descriptor, maxInitialPeersRange=str(ALL_NUMBERS if self.peers else PARTICIPANTS))
         if self.localhost_only:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import psutil
 
-from bridge.adapters.ros2 import discovery
+from bridge.adapters.ros2 import discovery, receive_buffers
 from bridge.adapters.ros2.environment import CYCLONE, STATIC_PEERS, available, domain
 from bridge.adapters.ros2.security import ENABLE, KEYSTORE, is_enabled
 from bridge.doctor.check import Check, Finding, Findings, fail, ok, packages, skip, warn
@@ -80,6 +80,24 @@ def check_cyclone(context: CheckContext) -> Findings:
         if report.foreign
     ]
     return findings or ok(f"{CYCLONE} is installed, and no discovered node serves on another DDS")
+
+
+def check_buffers(context: CheckContext) -> Findings:
+    """Check the kernel's limit of receive buffers, if the configuration lets the ROS 2 side receive much over UDP."""
+    ros2, proc = context.config.ros2, context.proc
+    if ros2.enabled is False:
+        return skip("ros2.enabled is false")
+    if ros2.localhost_only and ros2.profile is None and ros2.transport != "udp" and ros2.rmw != CYCLONE:
+        return skip("ros2.localhost_only is true: large messages use shared memory")
+    limit, default = (receive_buffers.setting(name, proc) for name in (receive_buffers.LIMIT, receive_buffers.DEFAULT))
+    if limit is None:
+        return skip(f"{receive_buffers.LIMIT} is not visible here; in a container, see the host's")
+    if too_small := receive_buffers.too_small(proc):
+        return warn(f"{too_small}: large best-effort ROS 2 messages over UDP are lost", receive_buffers.CURE)
+    return ok(
+        f"{receive_buffers.LIMIT} is {limit}; ROS 2 programs with Fast DDS's default settings use"
+        f" {receive_buffers.DEFAULT}, which is {default}"
+    )
 
 
 def _uncallable(nodes: list[str], services: list[str]) -> str:
@@ -196,6 +214,7 @@ CHECKS = (
     Check("ros2-packages", "ROS 2 on this machine", check_packages),
     Check("ros2-environment", "this shell's ROS 2 against the daemon's", check_environment),
     Check("ros2-rmw", "the ROS 2 middleware of this shell", check_rmw),
+    Check("ros2-buffers", "the kernel's receive buffers for ROS 2 over UDP", check_buffers),
     Check("ros2-cyclone", "a ROS 2 side on Cyclone DDS", check_cyclone),
     *releases.CHECKS,
     *cyclone.CHECKS,

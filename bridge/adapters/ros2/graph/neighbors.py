@@ -23,6 +23,7 @@ import threading
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 from bridge.adapters.ros2.graph.origins import is_marked, is_secured
 from bridge.adapters.ros2.graph.spdp import discovery_ports
@@ -177,15 +178,23 @@ def loaded_majors(process: Path) -> set[int]:
 def bound_ports(proc: Path) -> set[int] | None:
     """Return the UDP ports that are bound in this network namespace; None if unknown."""
     sockets = udp_sockets(proc)
-    return None if sockets is None else {port for port, _ in sockets}
+    return None if sockets is None else {socket.port for socket in sockets}
 
 
-def udp_sockets(proc: Path = Path("/proc")) -> list[tuple[int, str]] | None:
-    """Return port and inode of each UDP socket in this network namespace (proc_net(5)); None if unknown."""
+class UdpSocket(NamedTuple):
+    """A UDP socket; ``drops`` is the number of datagrams that the kernel dropped, mostly for lack of room."""
+
+    port: int
+    inode: str
+    drops: int
+
+
+def udp_sockets(proc: Path = Path("/proc"), table: str = "udp") -> list[UdpSocket] | None:
+    """Return the UDP sockets in this network namespace (proc_net(5)), ``udp6`` for IPv6; None if unknown."""
     try:
-        lines = (proc / "net/udp").read_text(encoding="utf-8").splitlines()[1:]
+        lines = (proc / "net" / table).read_text(encoding="utf-8").splitlines()[1:]
         sockets = [line.split() for line in lines]
-        return [(int(fields[1].rpartition(":")[2], 16), fields[9]) for fields in sockets]
+        return [UdpSocket(int(f[1].rpartition(":")[2], 16), f[9], int(f[12])) for f in sockets]
     except (OSError, ValueError, IndexError):
         return None
 
