@@ -20,7 +20,8 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from benchmarks.rows import Row, add_json_option, report
-from bridge.hub.session import Hub, HubSettings
+from bridge.hub.node import Hub
+from bridge.hub.session import HubSettings
 from bridge.hub.wire.qos import Qos
 from bridge.messages.registry import Registry
 from tests.peers.hub.network import HubNetwork

@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from benchmarks.rows import Row, add_json_option, report
 from bridge.config.sections.routing import RoutingSection
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import Qos
 from bridge.messages.registry import Registry
 from bridge.routing.edge import MadeBy

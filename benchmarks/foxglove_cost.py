@@ -26,7 +26,8 @@ import psutil
 import yaml
 
 from benchmarks.rows import Row, add_json_option, report
-from bridge.hub.session import Hub, HubSettings
+from bridge.hub.node import Hub
+from bridge.hub.session import HubSettings
 from bridge.hub.wire.qos import Qos
 from bridge.hub.zenoh_config import MAX_PAYLOAD, make_config, session_tree
 from bridge.messages.registry import Registry

@@ -29,7 +29,7 @@ if not __package__:  # run as a file
 
 from benchmarks.rows import Row, add_json_option, need_peers, report
 from bridge.config.model import Config
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.registry import Registry
 from bridge.modules.host import Host

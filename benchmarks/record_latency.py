@@ -25,7 +25,7 @@ from benchmarks.latency.cases import CASES
 from benchmarks.latency.figures import figures
 from benchmarks.latency.network import BACK, THERE, Network
 from benchmarks.rows import Row, add_json_option, report
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 
 WAYS = {THERE: "ROS 1 to ROS 2", BACK: "ROS 2 to ROS 1"}
 WARM_SECONDS = 1.0

@@ -33,7 +33,8 @@ from benchmarks.processes import Processes
 from benchmarks.rows import Row, add_json_option, report
 from bridge.clock import SYSTEM
 from bridge.daemon.query import ask_daemon
-from bridge.hub.session import Hub, HubSettings
+from bridge.hub.node import Hub
+from bridge.hub.session import HubSettings
 from bridge.messages.registry import Registry
 from bridge.modules.host import ModuleNode
 from bridge.modules.loop import EventLoop

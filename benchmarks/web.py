@@ -39,7 +39,8 @@ from benchmarks.endurance.deployment import Deployment
 from benchmarks.footprints.measured import cpu_seconds
 from benchmarks.rows import Row, add_json_option, need_peers, report
 from bridge.daemon.query import ask_daemon
-from bridge.hub.session import Hub, HubSettings
+from bridge.hub.node import Hub
+from bridge.hub.session import HubSettings
 from bridge.hub.wire.qos import Qos
 from bridge.messages.json import from_json
 from bridge.messages.registry import Registry

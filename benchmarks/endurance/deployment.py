@@ -15,7 +15,8 @@ from benchmarks.latency.cases import CASES, Case, Prepared, prepare
 from benchmarks.latency.stage import Stage
 from benchmarks.latency.usage import DAEMON, WORKERS, Meter, Usage, processes
 from bridge.client.status import document_of
-from bridge.hub.session import Hub, HubSettings
+from bridge.hub.node import Hub
+from bridge.hub.session import HubSettings
 from bridge.status import StatusDocument
 
 SIDES = ("ros1", "ros2", "zenoh")

@@ -12,7 +12,8 @@ from typing_extensions import override
 
 from benchmarks.endurance.program import DEPTH, Close, OnMessage, Program
 from bridge.hub.endpoints.publisher import HubPublisher
-from bridge.hub.session import Hub, HubSettings
+from bridge.hub.node import Hub
+from bridge.hub.session import HubSettings
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.registry import Registry
 

@@ -11,7 +11,8 @@ from typing_extensions import override
 
 from benchmarks.losses.program import MEGABYTE, Program
 from bridge.hub.endpoints.publisher import HubPublisher
-from bridge.hub.session import Hub, HubSettings
+from bridge.hub.node import Hub
+from bridge.hub.session import HubSettings
 from bridge.hub.wire.qos import Durability, Qos, Reliability
 from bridge.messages.registry import Registry
 

@@ -24,7 +24,8 @@ from bridge.hub.control import Handler
 from bridge.hub.daemons import identity_of
 from bridge.hub.diagnostics import has_subscribers
 from bridge.hub.errors import HubError
-from bridge.hub.session import Hub, HubSettings, follow_clock
+from bridge.hub.node import Hub, follow_clock
+from bridge.hub.session import HubSettings
 from bridge.messages.actions import GET_RESULT, split
 from bridge.messages.registry import Registry
 from bridge.progress import working

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from bridge.hub.control import MANUAL_DRIVING_HALTED
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 
 _MOST_NAME = 200
 

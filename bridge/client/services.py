@@ -14,7 +14,7 @@ from bridge.client.errors import ClientError
 from bridge.hub.endpoints.calls import Abandon, CallError
 from bridge.hub.endpoints.services import HubClient
 from bridge.hub.graph import HubGraph
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.messages.errors import ConversionError
 from bridge.routing.counters import Counters
 from bridge.text import clean

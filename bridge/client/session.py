@@ -20,7 +20,8 @@ from bridge.hub.control import WorkerAnswer
 from bridge.hub.errors import HubError
 from bridge.hub.graph import HubEndpoint
 from bridge.hub.identity import ask_identity
-from bridge.hub.session import Hub, HubSession, HubSettings
+from bridge.hub.node import Hub
+from bridge.hub.session import HubSession, HubSettings
 from bridge.hub.zenoh_config import client_session_config, connect_endpoint
 
 if TYPE_CHECKING:

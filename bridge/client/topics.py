@@ -23,7 +23,7 @@ from bridge.hub.endpoints.subscription import HubSample, HubSubscription
 from bridge.hub.errors import HubError
 from bridge.hub.graph import HubEndpoint, origin_side
 from bridge.hub.graph.tokens import TAPS, Origin
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.keys import NO_HASH
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.definitions.text import full_text

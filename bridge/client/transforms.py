@@ -16,7 +16,7 @@ from bridge.client.graph import absolute
 from bridge.client.session import Client
 from bridge.clock import RunClock
 from bridge.hub.endpoints.subscription import HubSample
-from bridge.hub.session import follow_clock
+from bridge.hub.node import follow_clock
 from bridge.text import clean, side_name
 from bridge.tf.buffer import TransformBuffer
 from bridge.tf.stamped import TF, TF_STATIC, TF_TYPE, read

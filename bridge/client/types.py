@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from bridge.client.errors import ClientError
 from bridge.client.session import ASK_SECONDS, Client
 from bridge.hub.definitions import VERB, definition_among
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.messages.definitions.names import is_ros1_name, is_ros2_name
 from bridge.messages.errors import MessageTypeError
 from bridge.text import near

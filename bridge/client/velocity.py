@@ -14,7 +14,7 @@ from bridge.client.types import Types
 from bridge.clock import RunClock
 from bridge.config.sections.section import Enabled
 from bridge.hub.graph import HubGraph
-from bridge.hub.session import follow_clock
+from bridge.hub.node import follow_clock
 from bridge.hub.wire.qos import Qos
 from bridge.messages.velocities import TWIST, TWIST_STAMPED, VELOCITIES
 

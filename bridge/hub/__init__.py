@@ -2,7 +2,8 @@
 
 Example: a node with a publisher of serialized messages (CDR); `bridge.client` and `bridge.modules` use Python values::
 
-    from bridge.hub.session import Hub, HubSettings
+    from bridge.hub.node import Hub
+    from bridge.hub.session import HubSettings
     from bridge.hub.wire.qos import Qos
     from bridge.messages.json import from_json
     from bridge.messages.registry import Registry

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bridge.hub.endpoints.publisher import HubPublisher
 from bridge.hub.graph import HubGraph
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import Qos
 from bridge.messages.registry import Registry
 

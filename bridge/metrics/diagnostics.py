@@ -18,7 +18,7 @@ from bridge.config.model import Config
 from bridge.daemon.query import Phase, ask_daemon
 from bridge.hub.diagnostics import TYPE, announce
 from bridge.hub.errors import HubError
-from bridge.hub.session import Hub, follow_clock
+from bridge.hub.node import Hub, follow_clock
 from bridge.messages.errors import MessageError
 from bridge.messages.registry import Registry
 from bridge.messages.values import MessageWriter

@@ -13,7 +13,8 @@ from bridge.hub.control import WorkerAnswer
 from bridge.hub.daemons import identity_of
 from bridge.hub.errors import HubError, zenoh_reason
 from bridge.hub.namesakes import own_answers
-from bridge.hub.session import Hub, HubSession, HubSettings
+from bridge.hub.node import Hub
+from bridge.hub.session import HubSession, HubSettings
 from bridge.hub.zenoh_config import client_session_config
 from bridge.metrics.source import ASK_SECONDS
 

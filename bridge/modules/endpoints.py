@@ -12,7 +12,7 @@ from bridge.client.services import ServiceClient
 from bridge.clock import RunClock
 from bridge.hub.endpoints.publisher import HubPublisher
 from bridge.hub.endpoints.subscription import HubSample, HubSubscription
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import Qos
 from bridge.messages.errors import ConversionError
 from bridge.messages.registry import Registry

@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 from bridge.hub.errors import HubError
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.status import ModuleStatus
 from bridge.worker import StatusHead
 

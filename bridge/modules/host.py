@@ -10,7 +10,7 @@ from typing import Any
 from bridge.client.actions import ActionClient
 from bridge.clock import DONE_TOPIC, DONE_TYPE, RunClock
 from bridge.config.model import Config
-from bridge.hub.session import Hub, follow_clock
+from bridge.hub.node import Hub, follow_clock
 from bridge.messages.registry import Registry
 from bridge.modules.action_server import RESULT_SECONDS, AcceptGoal, ActionServer, Brake, Cancel
 from bridge.modules.background import Background

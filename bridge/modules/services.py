@@ -9,7 +9,7 @@ from typing import Any
 
 from bridge.hub.endpoints.calls import Abandon, CallError, Done, nothing
 from bridge.hub.endpoints.services import HubServer
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.messages.errors import ConversionError
 from bridge.messages.registry import Registry
 from bridge.messages.values import MessageReader, MessageWriter

@@ -8,7 +8,8 @@ from bridge.config.model import Config
 from bridge.hub.daemons import identity_of
 from bridge.hub.diagnostics import has_subscribers
 from bridge.hub.errors import HubClosedError
-from bridge.hub.session import Hub, HubSession, HubSettings
+from bridge.hub.node import Hub
+from bridge.hub.session import HubSession, HubSettings
 from bridge.state_file import lane_folder
 from bridge.stores.service import StoreService
 from yarp_compat.wire.generation import Findings

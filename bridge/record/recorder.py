@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from bridge.client.topics import HubTopic, HubTopics, TopicKey
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.messages.registry import Registry
 from bridge.record.arrivals import ArrivalQueue
 from bridge.record.file import total

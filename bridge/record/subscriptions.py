@@ -11,7 +11,7 @@ from functools import partial
 from bridge.client.topics import HubTopic, HubTopics, TopicKey
 from bridge.clock import SYSTEM_CLOCK
 from bridge.hub.endpoints.subscription import HubSample
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.messages.registry import Registry
 from bridge.record.arrivals import ArrivalQueue, RecordedMessage, TopicCounts
 from bridge.record.selection import Selection, tapped

@@ -8,7 +8,7 @@ import time
 from bridge.client.graph import decisions_in
 from bridge.concurrency import SerialExecutor
 from bridge.hub.errors import HubError
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.record.selection import Selection
 
 _log = logging.getLogger("midspan.record")

@@ -22,7 +22,7 @@ from bridge.status import ConnectionStatus
 
 if TYPE_CHECKING:
     from bridge.config.sections.routing import ParameterRule
-    from bridge.hub.session import Hub
+    from bridge.hub.node import Hub
 
 _NO_SERVICES = "{name}: services are not bridged to {side}"
 

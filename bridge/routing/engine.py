@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 
 from bridge.config.sections.routing import RoutingSection
 from bridge.hub.graph.tokens import Origin
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.messages.registry import Registry
 from bridge.routing.check_loop import CheckLoop
 from bridge.routing.decision import RouteDecision

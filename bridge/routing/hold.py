@@ -15,7 +15,7 @@ from typing import Any
 
 from bridge.config.sections.navigation import HOLD, HOLD_TYPE, NavigationSection
 from bridge.hub.endpoints.subscription import HubSample
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import LATCHED
 
 _DATA = 4

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 from bridge.clock import steady
 from bridge.hub.errors import HubError
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.zenoh_config import LEASE_MS
 from bridge.progress import StepWatch
 from bridge.routing.edge import Edge

@@ -10,7 +10,7 @@ from typing import Any
 
 from bridge.concurrency import WorkerPool
 from bridge.hub.definitions import VERB, definition_among
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.messages.transcode.conversion import SideType
 from bridge.routing.edge import Edge
 

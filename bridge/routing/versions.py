@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from bridge.hub.endpoints.variants import REQUEST, RESPONSE, TypeVersions
 from bridge.hub.graph import HubEndpoint
 from bridge.hub.graph.tokens import EndpointKind
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.routing.decision import RouteDecision
 from bridge.routing.edge import Edge, Obstacle
 

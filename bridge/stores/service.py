@@ -16,7 +16,7 @@ from bridge.config.model import Config
 from bridge.config.sections.store import StoreSection
 from bridge.hub import listeners, opening
 from bridge.hub.errors import HubError
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.state_file import worker_folder
 from bridge.status import ModuleStatus
 from bridge.stores.entry import StoreError, check_name

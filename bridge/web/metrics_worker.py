@@ -10,7 +10,7 @@ from typing_extensions import override
 
 from bridge.config.model import Config
 from bridge.hub.diagnostics import announce, has_subscribers
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.messages.registry import Registry
 from bridge.metrics.endpoint import MetricsRoutes
 from bridge.metrics.link import HubLink

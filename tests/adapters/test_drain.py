@@ -15,7 +15,7 @@ from bridge.adapters import worker as bridge_worker
 from bridge.adapters.worker import BridgeWorker, NetworkBridge
 from bridge.config.model import Config
 from bridge.hub.endpoints.services import HubServer
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.messages.actions import GoalState
 from bridge.messages.registry import Registry
 from bridge.routing.edge import MadeBy

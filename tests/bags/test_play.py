@@ -21,7 +21,7 @@ from bridge.bags.play.services import PAUSE, STEP
 from bridge.cli.main import main
 from bridge.hub.control import RECORDED
 from bridge.hub.endpoints.subscription import HubSample
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from bridge.client.manual import ManualControl
-from bridge.hub.session import Hub, HubSession
+from bridge.hub.node import Hub
+from bridge.hub.session import HubSession
 from tests.peers.hub.quick import QuickHub
 from tests.peers.hub.rig import HubRig
 from tests.support.wait import until

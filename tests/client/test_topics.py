@@ -12,7 +12,7 @@ import pytest
 from bridge.client.topics import HubTopic, HubTopics, SubscribedTopic, TopicFollower, TopicKey
 from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.graph.tokens import Origin
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.registry import Registry
 from tests.peers.hub.quick import QuickHub

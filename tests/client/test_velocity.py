@@ -11,7 +11,7 @@ from bridge.client.velocity import VelocityForm, VelocityPublisher, subscribers
 from bridge.clock import RunClock
 from bridge.config.sections.section import Enabled
 from bridge.hub.graph.tokens import Origin
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.keys import ANY_HASH
 from bridge.hub.wire.qos import Qos
 from bridge.messages.velocities import TWIST, TWIST_STAMPED

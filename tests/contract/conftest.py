@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from bridge.config.model import Config
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.interfaces.folders import read_folders
 from bridge.messages.registry import Registry
 from tests.contract.fakeside import FakeSide

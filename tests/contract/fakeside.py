@@ -8,7 +8,7 @@ from typing import Any
 
 from bridge.config.model import Config
 from bridge.hub.endpoints.calls import Call
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import Durability, Qos, Reliability
 from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 from bridge.hub.endpoints.services import HubClient
 from bridge.hub.graph import HubEndpoint
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import Durability, Qos, Reliability
 from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry

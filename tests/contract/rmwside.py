@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from bridge.hub.graph import HubEndpoint
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import Qos
 from bridge.messages.registry import Registry
 from tests.contract.hubside import HubSide

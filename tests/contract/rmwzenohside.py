@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 from typing_extensions import override
 
 from bridge.hub.graph import HubEndpoint
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.messages.registry import Registry
 from tests.contract.hubside import HubSide
 from tests.peers.peer import Peer

@@ -9,7 +9,7 @@ import pytest
 
 from bridge.client.velocity import VelocityForm, VelocityPublisher, subscribers
 from bridge.clock import SYSTEM
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import Qos
 from bridge.messages.json import from_json
 from bridge.messages.registry import Registry

@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from bridge.hub.endpoints.subscription import HubSample
+from bridge.hub.node import Hub
 from bridge.hub.security.certificates import Authority
-from bridge.hub.session import Hub
 from bridge.hub.wire.qos import Qos, Reliability
 from bridge.messages.registry import Registry
 from bridge.routing.edge import MadeBy

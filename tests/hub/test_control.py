@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from bridge.hub.control import WorkerAnswer
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from tests.peers.hub.network import HubNetwork
 from tests.support.wait import until
 

@@ -15,7 +15,7 @@ import zenoh
 
 from bridge.hub import links
 from bridge.hub.errors import HubConfigError
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from tests.peers.hub.network import HubNetwork
 from tests.peers.hub.quick import QuickHub
 from tests.support.wait import until

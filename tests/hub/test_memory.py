@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import Qos
 from tests.peers.hub.endpoints import LATCHED, STREAM, Subscriber, advertise, matched, see_each_other
 from tests.peers.hub.network import ROOT, HubNetwork
@@ -19,7 +19,8 @@ pytestmark = pytest.mark.thorough
 
 PROGRAM = """
 import sys
-from bridge.hub.session import Hub, HubSettings
+from bridge.hub.node import Hub
+from bridge.hub.session import HubSettings
 from bridge.hub.wire.qos import Qos
 hub = Hub.open(HubSettings(router=sys.argv[1], node="leaves"))
 hub.subscription("/x", "a/msg/B", "*", Qos(), print)

@@ -16,8 +16,9 @@ from bridge.hub import namesakes
 from bridge.hub.control import WorkerAnswer
 from bridge.hub.daemons import DaemonIdentity, identity_of, read_identity
 from bridge.hub.namesakes import DaemonNames, own_answers
+from bridge.hub.node import Hub
 from bridge.hub.router import RouterWorker
-from bridge.hub.session import Hub, HubSettings
+from bridge.hub.session import HubSettings
 from bridge.hub.zenoh_config import MAX_PAYLOAD, make_config, router_tree
 from tests.support.ports import free_port
 from tests.support.wait import until

@@ -8,7 +8,7 @@ import pytest
 import zenoh
 
 from bridge.hub import panics
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from tests.peers.hub.network import HubNetwork
 
 

@@ -12,9 +12,9 @@ import zenoh
 
 from bridge.hub import rejoin
 from bridge.hub.graph.tokens import NodeToken, node_key
+from bridge.hub.node import Hub
 from bridge.hub.rejoin import REJOIN, Rejoins
 from bridge.hub.security.link_restart import close_connection
-from bridge.hub.session import Hub
 from tests.peers.hub.quick import QuickHub
 from tests.peers.zenoh.rmw import CONFIG
 from tests.support.wait import until

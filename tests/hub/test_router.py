@@ -11,8 +11,8 @@ import zenoh
 
 from bridge.config.model import Config
 from bridge.hub.errors import HubConfigError, HubError
+from bridge.hub.node import Hub
 from bridge.hub.router import RouterInfo, RouterWorker, port_held, probe_router
-from bridge.hub.session import Hub
 from bridge.hub.zenoh_config import MAX_PAYLOAD, make_config, session_tree
 from tests.peers.hub.endpoints import LATCHED, Subscriber, advertise, matched, see_each_other
 from tests.peers.hub.network import HubNetwork

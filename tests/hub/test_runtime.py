@@ -11,7 +11,8 @@ PROGRAM = """
 import sys, threading, time
 from concurrent.futures import ThreadPoolExecutor
 from bridge.hub.wire.qos import Durability, Qos
-from bridge.hub.session import Hub, HubSettings
+from bridge.hub.node import Hub
+from bridge.hub.session import HubSettings
 
 endpoint, HASH = sys.argv[1], "RIHS01_" + "ab" * 32
 LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL)

@@ -11,7 +11,8 @@ import pytest
 
 from bridge.hub.endpoints.keyspace import KeyItem
 from bridge.hub.errors import HubClosedError
-from bridge.hub.session import Hub, HubSession
+from bridge.hub.node import Hub
+from bridge.hub.session import HubSession
 from bridge.hub.wire.qos import Qos
 from tests.hub.endpoints.test_sdk import STRING, STRING_HASH
 from tests.hub.endpoints.test_services import HASH as SERVICE_HASH

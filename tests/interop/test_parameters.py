@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.messages.registry import Registry
 from tests.peers.daemon.deployment import Deployment
 from tests.peers.hub.parameters import HubParameters

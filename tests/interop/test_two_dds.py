@@ -15,7 +15,7 @@ import pytest
 
 from bridge.adapters.ros2.environment import worker_environment
 from bridge.config.model import Config
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.messages.registry import Registry
 from tests.contract.rmwside import RmwSide
 from tests.contract.side import WorkerProcess

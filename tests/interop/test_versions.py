@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.messages.registry import Registry
 from tests.contract.hubside import HubSide
 from tests.peers.daemon.older import ROOT, STORE, WORKER, OtherStore, older_tree, python

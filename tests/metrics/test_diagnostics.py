@@ -18,7 +18,8 @@ from bridge.config.model import Config
 from bridge.daemon.query import Phase, ask_daemon
 from bridge.hub.diagnostics import DIAGNOSTICS_WANTED, TOPIC, TYPE, has_subscribers
 from bridge.hub.graph.tokens import Origin
-from bridge.hub.session import Hub, HubSettings
+from bridge.hub.node import Hub
+from bridge.hub.session import HubSettings
 from bridge.hub.wire.qos import Qos
 from bridge.messages.registry import Registry
 from bridge.metrics import diagnostics, on_demand

@@ -18,9 +18,9 @@ from bridge.config.document import ConfigError
 from bridge.config.load import loads
 from bridge.config.model import Config
 from bridge.hub.daemons import DaemonIdentity, identity_of
+from bridge.hub.node import Hub
 from bridge.hub.security.certificates import Authority
 from bridge.hub.security.tokens import new_token
-from bridge.hub.session import Hub
 from bridge.metrics.section import MetricsSection
 from bridge.web.metrics_worker import MetricsWorker
 from tests.metrics.documents import route, side

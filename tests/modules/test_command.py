@@ -10,7 +10,7 @@ from pathlib import Path
 
 import yaml
 
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from tests.peers.hub.quick import QuickHub
 from tests.support.wait import until
 

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from bridge.clock import RunClock
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.registry import Registry
 from bridge.modules.host import ModuleNode

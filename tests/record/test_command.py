@@ -20,7 +20,7 @@ from bridge.cli.daemon.record import megabytes
 from bridge.cli.main import main
 from bridge.hub.control import RECORDED
 from bridge.hub.errors import HubError
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.record import triggers
 from bridge.record.places import PREFIX, Files

@@ -16,7 +16,7 @@ from rosbags.rosbag2 import Reader
 
 from bridge.bags.mcap_writer import McapWriter
 from bridge.hub.graph.tokens import Origin
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import LATCHED, Durability, Qos
 from bridge.record import file as record_file
 from bridge.record import places as record_places

@@ -10,7 +10,7 @@ import pytest
 
 from bridge.config.sections.routing import RoutingSection
 from bridge.hub.graph.tokens import TAPS, Origin
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import Qos
 from bridge.messages.registry import Registry
 from bridge.routing import side_to_hub

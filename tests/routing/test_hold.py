@@ -11,7 +11,7 @@ import pytest
 
 from bridge.config.sections.navigation import HOLD, HOLD_TYPE, NavigationSection
 from bridge.config.sections.routing import RoutingSection
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.json import from_json
 from bridge.messages.registry import Registry

@@ -14,7 +14,7 @@ import pytest
 
 from bridge.hub.endpoints.publisher import HubPublisher
 from bridge.hub.graph import HubEndpoint
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import Durability, Qos, Reliability
 from bridge.messages.registry import Registry
 from bridge.messages.transcode.conversion import Conversion

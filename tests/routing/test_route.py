@@ -15,7 +15,7 @@ import zenoh
 from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.graph import HubEndpoint
 from bridge.hub.graph.tokens import EndpointKind
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import Durability, Qos, Reliability
 from bridge.messages.registry import Registry
 from bridge.messages.transcode.conversion import Conversion, SideType

@@ -10,7 +10,7 @@ import pytest
 from bridge.clock import RunClock
 from bridge.config.sections.routing import RoutingSection
 from bridge.hub.endpoints.publisher import HubPublisher
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.errors import ConversionError
 from bridge.messages.json import from_json, to_json

@@ -6,7 +6,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from bridge.hub.session import Hub, HubSettings
+from bridge.hub.node import Hub
+from bridge.hub.session import HubSettings
 from bridge.stores.replica import Replica, StoreLimits
 from bridge.stores.sharing import StoreSync
 from bridge.stores.store import Store

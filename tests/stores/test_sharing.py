@@ -16,7 +16,7 @@ import zenoh
 
 from bridge.client.store import StoreClient
 from bridge.hub.endpoints.keyspace import KeySpace
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.version import WIRE
 from bridge.stores.entry import StoreError
 from bridge.stores.kinds import AREA, BEHAVIOR, LOCATION, MAP, PATH

@@ -10,8 +10,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 
 MIDDLEWARE = (
-    "bridge.hub.session", "bridge.interfaces.builder", "bridge.interfaces.cache", "multiprocessing", "rclpy", "rospy",
-    "subprocess", "zenoh",
+    "bridge.hub.node", "bridge.hub.session", "bridge.interfaces.builder", "bridge.interfaces.cache", "multiprocessing",
+    "rclpy", "rospy", "subprocess", "zenoh",
 )  # fmt: skip
 DRIVING = ("benchmarks.closedloop.drive", "tests.peers.navigation.scene")
 """Test files that import one of these or of `MIDDLEWARE`, directly or indirectly, are not fast."""

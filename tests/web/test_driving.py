@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from bridge.config.model import Config
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.actions import names, types
 from bridge.modules.loop import EventLoop

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from bridge.adapters.ros1.parameters.follower import ParameterSharing
     from bridge.adapters.ros1.parameters.store import ParameterServer
     from bridge.config.sections.routing import ParameterRule
-    from bridge.hub.session import Hub
+    from bridge.hub.node import Hub
 
 _log = logging.getLogger(__name__)
 

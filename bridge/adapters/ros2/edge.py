@@ -66,7 +66,7 @@ from bridge.routing.edge import (
 
 if TYPE_CHECKING:
     from bridge.config.sections.routing import ParameterRule
-    from bridge.hub.session import Hub
+    from bridge.hub.node import Hub
 
 _log = logging.getLogger(__name__)
 

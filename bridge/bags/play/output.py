@@ -18,7 +18,7 @@ from bridge.hub.definitions import VERB
 from bridge.hub.endpoints.publisher import HubPublisher
 from bridge.hub.errors import HubClosedError, HubError
 from bridge.hub.graph import HubEndpoint
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import Qos
 from bridge.messages.json import from_json
 from bridge.messages.registry import Registry

@@ -7,7 +7,7 @@ from typing import Any
 from bridge.bags.play.timeline import Timeline
 from bridge.clock import SYSTEM
 from bridge.hub.control import RECORDED
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.messages.registry import Registry
 from bridge.modules.endpoints import Endpoints
 from bridge.modules.loop import EventLoop

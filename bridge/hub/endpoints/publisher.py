@@ -30,7 +30,7 @@ NO_LANE = "this worker has no lane"
 
 
 class HubPublisher:
-    """Publishes one topic on the hub; created by `bridge.hub.session.Hub.publisher`. Safe to use from any thread.
+    """Publishes one topic on the hub; created by `bridge.hub.node.Hub.publisher`. Safe to use from any thread.
 
     Each sample is published with the same number on all of the publisher's keys (`bridge.hub.endpoints.variants`), so
     that a subscription that receives it on two of them delivers it only once.

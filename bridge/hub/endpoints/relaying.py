@@ -15,7 +15,7 @@ from bridge.hub.wire.qos import Qos
 
 
 class RelayPublisher:
-    """Publishes relayed messages on one key; created by `bridge.hub.session.Hub.relay_publisher`.
+    """Publishes relayed messages on one key; created by `bridge.hub.node.Hub.relay_publisher`.
 
     The messages keep the numbers, times and GIDs of their publishers, so that it needs no token. If it is latched, it
     publishes the messages of one publisher only, each once, and caches them like that publisher. Not thread-safe.

@@ -46,7 +46,7 @@ class _HubRequest(PendingRequest):
 
 
 class HubServer(CallServer):
-    """Serves one service on the hub; created by `bridge.hub.session.Hub.server`.
+    """Serves one service on the hub; created by `bridge.hub.node.Hub.server`.
 
     A ``hidden`` server has no token, and accepts only calls under its own hash.
 
@@ -231,7 +231,7 @@ class _VariantClient(CallClient):
 
 
 class HubClient(CallClient):
-    """Calls one service on the hub; created by `bridge.hub.session.Hub.client`. Safe to use from any thread.
+    """Calls one service on the hub; created by `bridge.hub.node.Hub.client`. Safe to use from any thread.
 
     If several servers reply, the first reply is used. Servers that announce another type hash are called only while
     no server has the client's hash; they are called directly, and not by a relay (`bridge.routing.relay`).

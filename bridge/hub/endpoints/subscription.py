@@ -259,7 +259,7 @@ class SampleReader:
 
 
 class HubSubscription:
-    """Receives one topic; created by `bridge.hub.session.Hub.subscription`. This class is for volatile topics.
+    """Receives one topic; created by `bridge.hub.node.Hub.subscription`. This class is for volatile topics.
 
     Locks: ``_lock`` guards ``sources`` and the losses. `close` never acquires it, because the caller of `close` may
     hold a lock for which the callback waits.

@@ -18,7 +18,7 @@ import math
 import time
 from collections.abc import Callable, Collection, Mapping
 
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.routing.peer_watch import HUB_AGAIN, HubViews
 
 GRACE = 1.0

@@ -20,7 +20,8 @@ from typing_extensions import override
 
 from bridge.concurrency import SerialExecutor
 from bridge.hub.endpoints.variants import Convert, OneVersion
-from bridge.hub.session import Hub, HubSettings
+from bridge.hub.node import Hub
+from bridge.hub.session import HubSettings
 from bridge.routing.check_loop import CheckLoop
 from bridge.routing.gates import RelayGate
 from bridge.routing.hold import Hold

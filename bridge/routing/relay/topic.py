@@ -12,7 +12,7 @@ from bridge.concurrency import BoundedQueue, SerialExecutor
 from bridge.hub.endpoints.relaying import RelayPublisher
 from bridge.hub.endpoints.subscription import HubSample, HubSubscription
 from bridge.hub.endpoints.variants import TypeVersions
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.unchanged import same
 from bridge.routing.admission import TopicAdmission

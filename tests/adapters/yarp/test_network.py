@@ -12,7 +12,7 @@ import pytest
 from bridge.adapters.worker import NetworkBridge, make_edges
 from bridge.adapters.yarp.network import DAEMON, OWNER, PRESENCE, YarpNetwork
 from bridge.config.model import Config
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.messages.registry import Registry
 from tests.adapters.yarp.conftest import Place
 from tests.contract.hubside import HubSide

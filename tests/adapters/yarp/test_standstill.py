@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.messages.registry import Registry
 from tests.adapters.yarp.conftest import Place
 from tests.contract.hubside import HubSide

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import zenoh
 
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.messages.registry import Registry
 from tests.adapters.zenoh.conftest import Place
 from tests.contract.hubside import HubSide

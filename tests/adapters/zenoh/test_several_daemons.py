@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.messages.registry import Registry
 from tests.adapters.zenoh.conftest import Place
 from tests.contract.hubside import HubSide

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import Qos
 from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry

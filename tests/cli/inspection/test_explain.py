@@ -10,7 +10,7 @@ import pytest
 
 from bridge.hub.daemons import DaemonIdentity
 from bridge.hub.graph.tokens import Origin
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.registry import Registry
 from tests.cli.conftest import Midspan

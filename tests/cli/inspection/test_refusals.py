@@ -13,7 +13,7 @@ import pytest
 import zenoh
 
 from bridge.config.rules import ALWAYS
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import Qos
 from bridge.hub.zenoh_config import make_config, router_tree
 from tests.bags.playing import Said, write_bag

@@ -21,7 +21,7 @@ from bridge.hub.control import WorkerAnswer
 from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.errors import HubError
 from bridge.hub.graph.tokens import Origin
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import Qos
 from bridge.messages.actions import GoalState
 from bridge.messages.json import from_json, to_json

@@ -25,7 +25,7 @@ from bridge.client.navigation import STATUS, STATUS_TOPIC, state_text
 from bridge.client.session import connect
 from bridge.config.model import Config
 from bridge.hub.endpoints.subscription import HubSample
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.velocities import TWIST
 from bridge.status import read_daemon_status

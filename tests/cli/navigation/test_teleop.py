@@ -18,7 +18,7 @@ from bridge.cli.navigation import teleop
 from bridge.cli.navigation.teleop import HOLD_SECONDS, Keys
 from bridge.client.manual import ManualControl
 from bridge.hub.control import MANUAL_DRIVING_HALTED
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import Qos
 from bridge.messages.json import to_json
 from bridge.messages.registry import Registry

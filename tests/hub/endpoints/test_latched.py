@@ -16,7 +16,7 @@ from bridge.concurrency import DelayedCalls, SerialExecutor
 from bridge.hub.endpoints import latched
 from bridge.hub.endpoints.latched import HEARTBEAT
 from bridge.hub.endpoints.latched_subscription import LatchedHubSubscription
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.keys import pack_attachment, topic_key
 from bridge.hub.wire.qos import History, Qos
 from tests.peers.hub.endpoints import (

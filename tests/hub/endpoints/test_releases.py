@@ -12,7 +12,7 @@ import zenoh
 
 from bridge.hub.endpoints.calls import Done, nothing
 from bridge.hub.endpoints.publisher import HubPublisher
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.buffers import BUFFER_TYPES
 from bridge.hub.wire.keys import ANY_HASH, NO_HASH
 from bridge.hub.wire.qos import Qos

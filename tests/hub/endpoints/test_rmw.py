@@ -13,7 +13,7 @@ import zenoh
 
 from bridge.hub.endpoints.keyspace import KeyItem
 from bridge.hub.endpoints.sinks import LARGE
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.keys import topic_key
 from bridge.hub.wire.qos import History, Qos
 from bridge.hub.zenoh_compat import SOURCE_NUMBERS, source_infos

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from bridge.hub.endpoints.subscription import HubSample
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import Durability, Qos, Reliability
 from tests.peers.hub.endpoints import LATCHED, STREAM, matched
 from tests.peers.hub.network import HubNetwork

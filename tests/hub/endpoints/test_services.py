@@ -12,7 +12,7 @@ import zenoh
 from bridge.hub.endpoints import calls as queries
 from bridge.hub.endpoints.calls import Abandon, CallError, Done
 from bridge.hub.endpoints.services import HubClient, abandon_key
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.keys import NO_HASH, pack_attachment, topic_key, unpack_attachment
 from tests.peers.hub.endpoints import see_each_other
 from tests.peers.hub.network import HubNetwork

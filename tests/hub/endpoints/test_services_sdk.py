@@ -10,7 +10,7 @@ import pytest
 
 from bridge.hub.endpoints import calls
 from bridge.hub.endpoints.calls import Abandon, CallError, Done
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.messages.registry import Registry
 from bridge.messages.values import MessageReader, MessageWriter
 from tests.peers.hub.network import HubNetwork

@@ -14,7 +14,7 @@ from bridge.hub.endpoints.sinks import LARGE, Matching
 from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.errors import HubClosedError, HubError, HubWireError
 from bridge.hub.graph.tokens import BRIDGE_ENCLAVE, EndpointKind, EndpointToken, NodeToken, endpoint_key
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.keys import pack_attachment, topic_key
 from bridge.hub.wire.qos import History
 from tests.peers.hub.endpoints import HASH, LATCHED, STREAM, TYPE, Subscriber, advertise, matched

@@ -17,7 +17,7 @@ from bridge.hub.endpoints.sinks import LatchedSink
 from bridge.hub.endpoints.variants import KeyVariants, Variants
 from bridge.hub.graph.hashes import KindOfEndpoint
 from bridge.hub.graph.tokens import EndpointKind, EndpointToken, NodeToken, endpoint_key
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.keys import NO_HASH
 from tests.peers.hub.endpoints import HASH, LATCHED, STREAM, TYPE, advertise
 from tests.peers.hub.network import HubNetwork

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from bridge.hub.graph.best_available import resolve
 from bridge.hub.graph.tokens import EndpointKind, EndpointToken, gid_of, parse_token
 from bridge.hub.graph.view import HubGraph
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import BEST_AVAILABLE_NS, Durability, Qos, Reliability
 from tests.peers.hub.endpoints import HASH
 from tests.peers.hub.network import HubNetwork

@@ -10,7 +10,7 @@ import pytest
 
 from bridge.hub.graph import HubEndpoint
 from bridge.hub.graph.tokens import BRIDGE_ENCLAVE, EndpointKind, NodeToken, Origin, node_key
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import Reliability
 from tests.peers.hub.endpoints import HASH, LATCHED, STREAM, TYPE, Subscriber, advertise
 from tests.peers.hub.network import HubNetwork

@@ -8,7 +8,7 @@ import pytest
 
 from bridge.client.graph import endpoint_text
 from bridge.hub.graph.releases import NativeNodes, native_nodes
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from tests.peers.hub.endpoints import HASH, STREAM, TYPE
 from tests.peers.hub.network import HubNetwork
 from tests.peers.zenoh.releases import RELEASES, Release, ReleaseNode, ReleasePublisher, ReleaseServer, Topic

@@ -13,7 +13,7 @@ import pytest
 
 from bridge.hub.lane import folder
 from bridge.hub.lane.wire import DATA, HEAD, MARK, PART, PIECE, SAMPLE, VERSION
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.keys import pack_attachment
 from tests.peers.hub.endpoints import STREAM, Subscriber, advertise, matched
 from tests.peers.hub.lane import goes_by, subscription, whole

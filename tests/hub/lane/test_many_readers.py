@@ -12,7 +12,7 @@ import pytest
 from bridge.hub.lane import folder
 from bridge.hub.lane.joining import MAX_LINKS
 from bridge.hub.lane.wire import DATA, HEAD, MARK, ON, ROOM
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from tests.peers.hub.endpoints import advertise
 from tests.peers.hub.lane import lane_messages
 from tests.peers.hub.network import HubNetwork

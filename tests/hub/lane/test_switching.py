@@ -16,7 +16,8 @@ from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.lane.inlet import Inlet, LaneReader
 from bridge.hub.lane.joining import Joining
 from bridge.hub.lane.wire import BOUND
-from bridge.hub.session import Hub, HubSession
+from bridge.hub.node import Hub
+from bridge.hub.session import HubSession
 from bridge.hub.wire.keys import topic_key
 from bridge.hub.wire.qos import History, Qos
 from tests.peers.hub.endpoints import HASH, LATCHED, TYPE, Subscriber, advertise, matched

@@ -13,10 +13,10 @@ import zenoh
 
 from bridge.config.model import Config
 from bridge.hub.errors import HubError
+from bridge.hub.node import Hub
 from bridge.hub.router import RouterWorker
 from bridge.hub.security.certificates import Authority
 from bridge.hub.security.external_router import ExternalRouter
-from bridge.hub.session import Hub
 from bridge.hub.wire.keys import pack_attachment, topic_key
 from tests.peers.hub.endpoints import HASH, LATCHED, TYPE, Subscriber, advertise, matched, see_each_other
 from tests.peers.hub.machines import FLOAT, Machines, make_keys

@@ -8,7 +8,7 @@ import pytest
 
 from bridge.hub.endpoints import calls
 from bridge.hub.endpoints.services import abandon_key
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.keys import pack_attachment, topic_key
 from tests.hub.endpoints.test_services import Called, Serving
 from tests.peers.hub.endpoints import HASH, Subscriber, advertise, matched

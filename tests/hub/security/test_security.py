@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from bridge.hub.errors import HubError
+from bridge.hub.node import Hub
 from bridge.hub.router import probe_router
-from bridge.hub.session import Hub
 from tests.peers.hub.endpoints import LATCHED, Subscriber, advertise, matched, see_each_other
 from tests.peers.hub.network import HubNetwork
 from tests.support.wait import until

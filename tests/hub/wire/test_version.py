@@ -21,7 +21,7 @@ from bridge.hub.graph.tokens import (
 )
 from bridge.hub.lane import folder
 from bridge.hub.lane.wire import VERSION
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.version import MAJOR, WIRE, refusal
 from tests.peers.hub.endpoints import HASH, STREAM, TYPE
 from tests.peers.hub.network import HubNetwork

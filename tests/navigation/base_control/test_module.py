@@ -12,7 +12,8 @@ from typing import Any
 
 import pytest
 
-from bridge.hub.session import Hub, HubSettings
+from bridge.hub.node import Hub
+from bridge.hub.session import HubSettings
 from bridge.hub.wire.qos import Qos
 from bridge.messages.json import from_json, to_json
 from tests.peers.hub.modules import Place

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.stores.kinds import MAP
 from tests.contract.hubside import HubSide
 from tests.navigation.map2d_server.served import GRID, Served, six_flags

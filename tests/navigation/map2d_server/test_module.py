@@ -13,7 +13,7 @@ import pytest
 
 from bridge.cli.main import main
 from bridge.hub.graph.tokens import Origin
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import LATCHED
 from bridge.stores.kinds import AREA, BEHAVIOR, LOCATION, MAP, MAP3D
 from bridge.stores.store import Write

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from bridge.clock import SYSTEM
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.registry import Registry
 from bridge.messages.velocities import TWIST

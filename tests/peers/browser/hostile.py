@@ -21,7 +21,7 @@ from typing import Any
 import psutil
 import yaml
 
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import Qos
 from bridge.messages.json import to_json
 from bridge.messages.registry import Registry

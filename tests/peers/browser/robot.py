@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.messages.registry import Registry
 from tests.contract.hubside import HubSide
 from tests.peers.browser.page import TestPage

@@ -10,7 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.interfaces.builder import build
 from bridge.interfaces.cache import environment
 from bridge.interfaces.folders import read_folders

@@ -16,7 +16,8 @@ from typing import Any, Protocol, Self
 import psutil
 import yaml
 
-from bridge.hub.session import Hub, HubSettings
+from bridge.hub.node import Hub
+from bridge.hub.session import HubSettings
 from tests.peers.daemon.deployment import ANSWER_SECONDS
 from tests.peers.daemon.midspan import MIDSPAN
 from tests.peers.peer import Peer

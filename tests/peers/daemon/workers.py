@@ -15,7 +15,7 @@ from bridge.config.sections.routing import RoutingSection
 from bridge.hub.daemons import DaemonIdentity
 from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.graph.tokens import MIDSPAN_SPACE
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.registry import Registry
 from bridge.routing.edge import MadeBy

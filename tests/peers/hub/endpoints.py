@@ -9,7 +9,7 @@ from bridge.hub.endpoints.publisher import HubPublisher
 from bridge.hub.endpoints.subscription import HubSample, HubSubscription
 from bridge.hub.graph import HubEndpoint
 from bridge.hub.graph.tokens import EndpointKind
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import Durability, Qos, Reliability
 from tests.support.wait import until
 

@@ -7,8 +7,9 @@ from typing import Any
 
 import zenoh
 
+from bridge.hub.node import Hub
 from bridge.hub.security.certificates import Authority
-from bridge.hub.session import Hub, HubSettings
+from bridge.hub.session import HubSettings
 from bridge.hub.zenoh_config import make_config, session_tree
 from tests.peers.hub.network import HubNetwork
 from tests.support.ports import free_port

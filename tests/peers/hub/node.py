@@ -6,7 +6,8 @@ from collections.abc import Callable
 from typing import Any, Self
 
 from bridge.clock import SYSTEM
-from bridge.hub.session import Hub, HubSettings
+from bridge.hub.node import Hub
+from bridge.hub.session import HubSettings
 from bridge.messages.registry import Registry
 from bridge.modules.host import ModuleNode
 from bridge.modules.loop import EventLoop

@@ -25,7 +25,8 @@ from bridge.hub.endpoints.calls import Abandon, CallError, Done
 from bridge.hub.endpoints.lane_subscription import LaneSubscription
 from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.graph.tokens import Origin
-from bridge.hub.session import Hub, HubSettings
+from bridge.hub.node import Hub
+from bridge.hub.session import HubSettings
 from bridge.hub.wire.qos import Durability, Qos
 from tests.peers.commands import Commands, Counting, Record, only_answers, serve
 from tests.support.descriptors import no_descriptors

@@ -14,7 +14,7 @@ from mcap.stream_reader import StreamReader
 
 from bridge.config.model import Config
 from bridge.hub.endpoints.publisher import HubPublisher
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import Qos
 from bridge.messages.json import from_json
 from bridge.messages.registry import Registry

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from bridge.config.model import Config
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.messages.registry import Registry
 from tests.contract.hubside import HubSide
 from tests.peers.hub.quick import QuickHub

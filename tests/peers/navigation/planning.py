@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from bridge.clock import SYSTEM
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.actions import GoalState
 from bridge.messages.registry import Registry

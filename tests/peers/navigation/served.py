@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from bridge.client.actions import SentGoal
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.messages.actions import GoalState
 from bridge.messages.registry import Registry
 from bridge.modules.host import Host

@@ -9,7 +9,7 @@ from bridge.adapters.ros1.parameters.store import codecs
 from bridge.adapters.ros1.parameters.values import NOT_SET, ParameterType, ParameterValue
 from bridge.config.sections.routing import ParameterRule
 from bridge.hub.endpoints.calls import CallError
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.messages.registry import Registry
 from tests.support.wait import until
 

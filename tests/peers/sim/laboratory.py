@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.registry import Registry
 from bridge.tf.stamped import TF, TF_STATIC, TF_TYPE, Stamped, write

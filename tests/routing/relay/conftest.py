@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from bridge.config.sections.routing import RoutingSection
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.routing.hold import Hold
 from bridge.routing.relay.relay import HubRelay
 from bridge.routing.rules import RuleSet

@@ -7,7 +7,7 @@ import time
 import pytest
 
 from bridge.config.sections.navigation import HOLD, HOLD_TYPE
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import LATCHED, History, Qos
 from bridge.messages.json import from_json
 from tests.peers.hub.network import HubNetwork

@@ -19,7 +19,7 @@ import zenoh
 from bridge.config.sections.routing import RoutingSection
 from bridge.hub.endpoints.calls import Abandon, CallError, ClosedCallError, Done
 from bridge.hub.endpoints.services import HubClient
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.messages.actions import (
     CANCEL,
     CANCEL_GOAL,

@@ -8,7 +8,7 @@ import pytest
 
 from bridge.config.sections.routing import RoutingSection
 from bridge.hub.endpoints.calls import Call, Done, nothing
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.messages.registry import Registry
 from bridge.routing.engine import Engine
 from bridge.routing.versions import second_version

@@ -15,7 +15,7 @@ from bridge.adapters.ros1.parameters.store import ParameterContext, ParameterSer
 from bridge.adapters.ros1_peers import Ros1Error
 from bridge.config.sections.routing import ParameterRule
 from bridge.hub.endpoints.calls import CallError, Done
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.messages.registry import Registry
 
 _log = logging.getLogger(__name__)

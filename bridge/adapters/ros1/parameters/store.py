@@ -10,7 +10,7 @@ from typing import Any
 from bridge.adapters.ros1.parameters.values import Unreadable
 from bridge.adapters.ros1_peers import Call, RefusedError, Ros1Error, Ros1ProtocolError, XmlRpcClient
 from bridge.hub.endpoints.calls import Done
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.messages.registry import Registry
 from bridge.messages.services import ServiceCodec
 

@@ -25,7 +25,7 @@ from bridge.adapters.ros1.parameters.values import (
     to_ros2,
 )
 from bridge.config.sections.routing import ParameterRule
-from bridge.hub.session import Hub
+from bridge.hub.node import Hub
 from bridge.hub.wire.qos import Qos
 from bridge.messages.values import MessageReader
 from tests.peers.hub.network import HubNetwork
