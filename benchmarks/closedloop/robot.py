@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 from bridge.messages.scan import LaserScan
 from navigation.base_control.base import DrivenBase
@@ -30,7 +31,7 @@ CAMERA = CameraSection(rate=5.0, width=160, height=120, noise=0.02)
 
 ENCODER_NOISE = 0.01
 _INPUT = "ros"
-_KINDS = {"differential": "cer", "ikart_V1": "ikart_V1"}
+_KINDS: dict[str, Literal["cer", "ikart_V1"]] = {"differential": "cer", "ikart_V1": "ikart_V1"}
 
 
 class Robot:
