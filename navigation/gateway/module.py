@@ -26,10 +26,11 @@ from navigation import lifecycle
 from navigation.frames import RobotFrames
 from navigation.gateway.entry import NavigateAction
 from navigation.gateway.gateway import BETWEEN_MAPS, Gateway
-from navigation.gateway.services import CLIENT, GatewayDevice, HubServices, VelocityCommander, YarpVelocity
+from navigation.gateway.services import GatewayDevice, HubServices
 from navigation.gateway.stop import StopAnswer, wait_for
 from navigation.gateway.targets import StoredPlaces, TargetError, target_of
 from navigation.gateway.telemetry import POSE
+from navigation.gateway.velocities import CLIENT, VelocityCommander, YarpVelocity
 from navigation.goals import FarClients
 from navigation.messages import THROUGH
 from navigation.status import STATUS, Fault, State

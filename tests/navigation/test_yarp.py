@@ -17,8 +17,8 @@ from bridge.config.model import Config
 from bridge.modules.loop import EventLoop
 from navigation import yarp as calls_module
 from navigation.gateway import services as gateway
-from navigation.gateway.services import VelocityCommander
 from navigation.gateway.stop import StopAnswer
+from navigation.gateway.velocities import VelocityCommander
 from navigation.robot_goto import ports as robot_goto
 from navigation.robot_path_planner import ports as planner
 from navigation.yarp import Calls, PortConnection

@@ -10,7 +10,7 @@ import pytest
 
 from bridge.hub.wire.qos import Qos
 from bridge.stores.kinds import MAP
-from navigation.gateway import services
+from navigation.gateway import velocities as commands
 from navigation.maps.grid import to_grid
 from navigation.messages import NAVIGATE
 from navigation.status import State
@@ -32,7 +32,7 @@ from yarp_compat.naming import connections
 from yarp_compat.pythonic import Reader
 
 TF = "tf2_msgs/msg/TFMessage"
-PAUSE = 2 * services._PAUSE_SECONDS
+PAUSE = 2 * commands._PAUSE_SECONDS
 """Seconds between two velocities of a client that may have been stopped while it drove, for example by `Rig.fresh`."""
 
 
@@ -243,7 +243,7 @@ def test_velocities_are_commanded_while_no_goal_is_active(
     )
     until(lambda: velocities[-1] == (0.0, 0.0), "the command has expired", 20)
     until(lambda: not yarp.get_last_velocity_command_RPC()[0], "no command is active", 20)
-    monkeypatch.setattr(services, "LONGEST_SECONDS", 600.0)  # from here on, no command expires during the test
+    monkeypatch.setattr(commands, "LONGEST_SECONDS", 600.0)  # from here on, no command expires during the test
     until(lambda: yarp.apply_velocity_command_RPC(0.2, 0.0, 90.0, 600.0), "the command is accepted", 20)
     assert yarp.get_last_velocity_command_RPC()[1:] == (0.2, 0.0, 90.0)
     assert rig.ask("stop")["success"]
@@ -266,7 +266,7 @@ def test_a_client_that_repeats_its_velocity_does_not_drive_after_a_stop(
     rig: Rig, yarp: INavigation2DMsgs, monkeypatch: pytest.MonkeyPatch, how: str
 ) -> None:
     until(lambda: yarp.apply_velocity_command_RPC(0.2, 0.0, 0.0, 0.2), "the client drives", 20, PAUSE)
-    monkeypatch.setattr(services, "LONGEST_SECONDS", 600.0)  # on a busy machine, a second passes between two commands
+    monkeypatch.setattr(commands, "LONGEST_SECONDS", 600.0)  # on a busy machine, a second passes between two commands
     until(lambda: yarp.apply_velocity_command_RPC(0.2, 0.0, 0.0, 600.0), "the client drives on", 20)
     if how == "nav stop":
         rig.ask("stop")

@@ -11,14 +11,14 @@ import pytest
 
 from bridge.client.velocity import STOP_SECONDS
 from bridge.hub.errors import HubClosedError
-from navigation.gateway import services
+from navigation.gateway import velocities
 from navigation.gateway.choice import RequestError
-from navigation.gateway.services import VelocityCommander, YarpVelocity
 from navigation.gateway.stop import OVERRIDE_SECONDS
+from navigation.gateway.velocities import VelocityCommander, YarpVelocity
 from tests.peers.navigation.simulated_hub import Clock, Loop
 
 DRIVE = YarpVelocity(0.3, 0.0, 0.0)
-ZEROS = round(STOP_SECONDS / services._PERIOD)
+ZEROS = round(STOP_SECONDS / velocities._PERIOD)
 
 
 class Base:
@@ -29,8 +29,8 @@ class Base:
         self.loop = Loop(self.clock)
         self.fails = False  # whether publishing fails
         publisher = SimpleNamespace(publish=self._publish)
-        monkeypatch.setattr(services, "velocity_publisher", lambda *_: publisher)
-        monkeypatch.setattr(services, "time", self.clock)
+        monkeypatch.setattr(velocities, "velocity_publisher", lambda *_: publisher)
+        monkeypatch.setattr(velocities, "time", self.clock)
         self.drivers = dict[str, str]()  # other persons by zid; that of the gateway is "5"
         self.announced: str | None = None
         graph = SimpleNamespace(drivers=lambda _topic: self.drivers)
