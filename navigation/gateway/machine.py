@@ -1,8 +1,9 @@
 """The gateway's states, events and transitions, as tables; ARCHITECTURE.md shows them.
 
 Three machines hold the state of the gateway: that of the planner (`PLANNER`), of the drive for one client (`DRIVE`),
-and of a stop or pause that has to be confirmed (`STOP`). An event that a state does not list changes nothing.
-`navigation.gateway.words` derives every answer to a client from these states.
+and of a stop or pause that has to be confirmed (`STOP`). `navigation.gateway.words` derives every answer to a client
+from these states. Two more are for the velocities of YARP clients: what is published for them (`VELOCITY`), and whether
+they have to pause before they drive (`SENDER`). An event that a state does not list changes nothing.
 """
 
 from __future__ import annotations
@@ -115,6 +116,42 @@ class StopEvent(Enum):
     EXPIRE = "it has not been confirmed in time"
 
 
+class VelocityState(Enum):
+    """What is published for YARP clients that command velocities."""
+
+    SILENT = "silent"  #: nothing
+    DRIVING = "driving"  #: a client's velocity, which may be zero
+    HALTING = "halting"  #: zero, whoever else commands the base
+    ENDING = "ending"  #: zero, unless that would slow the planner or a person
+
+
+class VelocityEvent(Enum):
+    """What changes `VelocityState`."""
+
+    COMMAND = "a client's velocity is accepted"
+    HALT = "zero has to override all other sources"
+    END = "the time of the velocity or halt is over, it is stopped, or a person drives"
+    DONE = "zero has been repeated for long enough, or would slow the planner or a person"
+
+
+class SenderState(Enum):
+    """Whether YARP clients send velocities, and whether they have to pause before they drive."""
+
+    SILENT = "silent"  #: no velocity but zero for a moment
+    SENDING = "sending"  #: velocities arrive, and may drive
+    STOPPED = "stopped"  #: velocities arrive, and the robot was stopped
+    ENDED = "ended"  #: the gateway is shutting down
+
+
+class SenderEvent(Enum):
+    """What changes `SenderState`."""
+
+    VELOCITY = "a client sends a velocity other than zero"
+    STOP = "a person stops the robot"
+    PAUSE = "no velocity but zero has arrived for a moment"
+    END = "the gateway shuts down"
+
+
 def _planner() -> Table[PlannerState, PlannerEvent]:
     state, event = PlannerState, PlannerEvent
     reachable = {event.LOST: state.UNREACHABLE, event.NO_GOALS: state.IDLE, event.GOALS: state.DRIVING}
@@ -176,4 +213,27 @@ def _stop() -> Table[StopState, StopEvent]:
     }  # fmt: skip
 
 
-PLANNER, DRIVE, STOP = _planner(), _drive(), _stop()
+def _velocity() -> Table[VelocityState, VelocityEvent]:
+    state, event = VelocityState, VelocityEvent
+    begin = {event.COMMAND: state.DRIVING, event.HALT: state.HALTING}
+    return {
+        state.SILENT: begin,
+        state.DRIVING: begin | {event.END: state.ENDING},
+        state.HALTING: begin | {event.END: state.ENDING},
+        state.ENDING: begin | {event.DONE: state.SILENT},
+    }
+
+
+def _sender() -> Table[SenderState, SenderEvent]:
+    state, event = SenderState, SenderEvent
+    always = {event.END: state.ENDED}
+    stopped = always | {event.PAUSE: state.SILENT}
+    return {
+        state.SILENT: always | {event.VELOCITY: state.SENDING},
+        state.SENDING: stopped | {event.STOP: state.STOPPED},
+        state.STOPPED: stopped,
+        state.ENDED: {},
+    }
+
+
+PLANNER, DRIVE, STOP, VELOCITY, SENDER = _planner(), _drive(), _stop(), _velocity(), _sender()

@@ -103,7 +103,7 @@ class GatewayDevice(NavigationDevice):
         stop: Callable[[], StopAnswer],  # starts stopping the robot; the answer arrives when the stop is confirmed
     ) -> None:
         self._gateway, self._places, self._commander, self._log = gateway, places, commander, host.log
-        self._stop = stop
+        self._stop, self._post = stop, host.loop.post
         super().__init__(Calls(host.loop, RequestError, LookupError))
 
     # -- targets -------------------------------------------------------------------------------------------------------
@@ -162,11 +162,17 @@ class GatewayDevice(NavigationDevice):
     # -- velocities ----------------------------------------------------------------------------------------------------
 
     def applyVelocityCommand(self, x_vel: float, y_vel: float, theta_vel: float, timeout: float) -> None:
+        velocity = YarpVelocity(x_vel, y_vel, theta_vel)
+
         def command() -> None:
-            velocity = YarpVelocity(x_vel, y_vel, theta_vel)
             self._commander.command(velocity, timeout, planner_drives=self._gateway.has_base)
 
-        self._move(command, _FRESH_SECONDS)
+        try:
+            self._move(command, _FRESH_SECONDS)
+        except CallFailed as err:
+            if err.code is ReturnCode.NOT_READY:  # it was dropped, but its client does not pause
+                self._post(lambda: self._commander.note(velocity, timeout))
+            raise
 
     def getLastVelocityCommand(self) -> tuple[float, float, float] | None:
         return self._do(lambda: self._commander.last)

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import time
 from collections.abc import Callable
 from typing import NamedTuple
 
 from bridge.client.manual import ManualControl
-from bridge.client.velocity import STOP_SECONDS
+from bridge.client.velocity import STOP_SECONDS, VelocityPublisher
 from bridge.modules.host import Host
 from bridge.modules.loop import Timer
 from bridge.modules.velocity import velocity_publisher
+from bridge.state_machine import Machine
 from navigation.gateway.choice import RequestError
+from navigation.gateway.machine import SENDER, VELOCITY, SenderEvent, SenderState, VelocityEvent, VelocityState
+from navigation.gateway.motion import STALL_SECONDS
 from navigation.gateway.stop import OVERRIDE_SECONDS
 
 CLIENT = "a YARP client"
@@ -21,7 +25,12 @@ LONGEST_SECONDS = 1.0
 """Maximum duration of a velocity command; clients repeat their command to keep driving."""
 
 _PAUSE_SECONDS = 0.3
-_STOPPED = f"the robot was stopped; first send no velocity for the command's time-out, at least {_PAUSE_SECONDS:g} s"
+_PAUSE = f"first send no velocity for the command's time-out, at least {_PAUSE_SECONDS:g} s"
+_REFUSALS = {
+    SenderState.STOPPED: f"the robot was stopped; {_PAUSE}",
+    SenderState.ENDED: "the gateway is shutting down",
+}
+_PLANNER_DRIVES = "the planner drives; stop or suspend it first"
 
 _LOG_SECONDS = 5.0  # a refusal is logged again if the one before it was earlier
 _PERIOD = 0.05  # seconds between two messages of a command
@@ -34,6 +43,91 @@ class YarpVelocity(NamedTuple):
     x: float = 0.0
     y: float = 0.0
     turn: float = 0.0
+
+
+ZERO = YarpVelocity()
+
+
+class VelocitySender:
+    """The YARP clients that command velocities: whether they may drive, or have to pause first.
+
+    A client that was stopped repeats its velocity, and must not drive by itself later. It has paused if no
+    velocity but zero has arrived for the time-out of its last one, and at least `_PAUSE_SECONDS`. Silence is counted in
+    calls of `tick`, because nothing is read while this process stands still.
+    """
+
+    def __init__(self, log: logging.Logger) -> None:
+        self._log = log
+        self._machine = Machine(SENDER, SenderState.SILENT)
+        self._pause = self._left = 0  # the calls of `tick` until the client has paused, from its last velocity, and now
+        self._ticked_at = 0.0  # monotonic seconds
+        self._refused, self._refused_at = "", -math.inf  # the reason for the last refusal, and its time
+
+    @property
+    def silent(self) -> bool:
+        """Whether `tick` need not be called."""
+        return self._machine.state in (SenderState.SILENT, SenderState.ENDED)
+
+    def on_velocity(self, velocity: YarpVelocity, seconds: float) -> None:
+        """Note that a velocity for this time has arrived; zero counts as a pause."""
+        if any(velocity):
+            self._pause = self._left = math.ceil(max(_limited(seconds), _PAUSE_SECONDS) / _PERIOD) + 1
+            self._ticked_at = time.monotonic()
+            self._machine.on(SenderEvent.VELOCITY)
+
+    def check(self, velocity: YarpVelocity, other: str) -> None:
+        """Raise `RequestError` if a velocity is refused; ``other``: who else drives, "" for nobody."""
+        reason = self._refusal(velocity, other)
+        if reason:
+            self._log_refusal(reason)
+            raise RequestError(reason)
+
+    def _refusal(self, velocity: YarpVelocity, other: str) -> str:
+        state = self._machine.state
+        held = _REFUSALS.get(state, "") if any(velocity) or state is SenderState.ENDED else ""
+        return held or other
+
+    def _log_refusal(self, reason: str) -> None:
+        """Log a refusal, because YARP's reply cannot contain the reason; not again while the client repeats itself."""
+        now = time.monotonic()
+        if reason != self._refused or now - self._refused_at > _LOG_SECONDS:
+            self._log.warning("a velocity of %s is refused: %s", CLIENT, reason)
+        self._refused, self._refused_at = reason, now
+
+    def stop(self) -> None:
+        """Require a pause if velocities arrive."""
+        self._machine.on(SenderEvent.STOP)
+
+    def end(self) -> None:
+        """Refuse all further velocities."""
+        self._machine.on(SenderEvent.END)
+
+    def tick(self) -> None:
+        """Count a period without a velocity; after a stall count from the beginning, because messages are unread."""
+        now = time.monotonic()
+        self._left = self._pause if now > self._ticked_at + STALL_SECONDS else self._left - 1
+        self._ticked_at = now
+        if self._left <= 0:
+            self._machine.on(SenderEvent.PAUSE)
+
+
+class _Output:
+    """Publishes velocities, and counts the zeros that have to follow."""
+
+    def __init__(self, publisher: VelocityPublisher) -> None:
+        self._publisher = publisher
+        self.zeros = 0  # not a time, because this process may be starved
+
+    def send(self, velocity: YarpVelocity) -> None:
+        self.zeros = _ZEROS if any(velocity) else max(0, self.zeros - 1)
+        self._publisher.publish(velocity.x, velocity.y, math.radians(velocity.turn))
+
+
+class _Command(NamedTuple):
+    """What is published while DRIVING or HALTING, and until when (monotonic seconds)."""
+
+    velocity: YarpVelocity
+    until: float
 
 
 class VelocityCommander:
@@ -49,22 +143,22 @@ class VelocityCommander:
 
     def __init__(self, host: Host, topic: str, busy: Callable[[], bool]) -> None:
         self._host, self._busy = host, busy
-        self._publisher = velocity_publisher(host, topic)
+        self._output = _Output(velocity_publisher(host, topic))
         self._control = ManualControl(host.node.hub, topic)
-        self._refused, self._refused_at = "", -math.inf  # the reason for the last refusal, and its time
-        self._velocity, self._until = YarpVelocity(), 0.0
-        self._override = False  # whether the zeros of `halt` are being published
-        self._stopped = False  # whether a client that drives has to pause
-        self._drives_until = 0.0  # when the client has paused, unless it sends another velocity before
-        self._zeros = 0  # still to be published; not a time, because this process may be starved
-        self._timer: Timer | None = None
+        self._sender = VelocitySender(host.log)
+        self._machine = Machine(VELOCITY, VelocityState.SILENT)
+        self._command = _Command(ZERO, 0.0)
+        self._timer: Timer | None = None  # while velocities are published or arrive
         self._ended: Callable[[], None] | None = None
-        self._ending = False
 
     @property
     def last(self) -> YarpVelocity | None:
         """The current command; None when its time is over."""
-        return self._velocity if time.monotonic() <= self._until else None
+        return self._command.velocity if self._commands and time.monotonic() <= self._command.until else None
+
+    @property
+    def _commands(self) -> bool:
+        return self._machine.state in (VelocityState.DRIVING, VelocityState.HALTING)
 
     def command(self, velocity: YarpVelocity, seconds: float, *, planner_drives: bool = False) -> None:
         """Command a velocity for this time, at most `LONGEST_SECONDS`.
@@ -72,62 +166,33 @@ class VelocityCommander:
         Raises `RequestError` after `end`, after `stop_client` until the client has paused, and while the planner drives
         or another person drives manually.
         """
-        if self._ending:
-            raise RequestError("the gateway is shutting down")
-        reason = self._stop_holds(velocity, seconds) or ("" if planner_drives else self._control.rival())
-        if reason:
-            self._log_refusal(reason)
-            raise RequestError(reason)
-        if planner_drives:
-            raise RequestError("the planner drives; stop or suspend it first")
-        self._begin(velocity, seconds)
+        self.note(velocity, seconds)
+        self._sender.check(velocity, _PLANNER_DRIVES if planner_drives else self._control.rival())
+        self._begin(VelocityEvent.COMMAND, velocity, seconds)
 
-    def _stop_holds(self, velocity: YarpVelocity, seconds: float) -> str:
-        """Return why the client may not drive yet; "" if it may. Zeros count as a pause."""
-        if not any(velocity):
-            return ""
-        now = time.monotonic()
-        self._stopped = self._stopped and now <= self._drives_until
-        self._drives_until = now + max(_limited(seconds), _PAUSE_SECONDS)
-        return _STOPPED if self._stopped else ""
-
-    def _log_refusal(self, reason: str) -> None:
-        """Log a refusal, because YARP's reply cannot contain the reason; not again while the client repeats itself."""
-        now = time.monotonic()
-        if reason != self._refused or now - self._refused_at > _LOG_SECONDS:
-            self._host.log.warning("a velocity of %s is refused: %s", CLIENT, reason)
-        self._refused, self._refused_at = reason, now
-
-    def _begin(self, velocity: YarpVelocity, seconds: float, *, override: bool = False) -> None:
-        if any(velocity):
-            self._control.begin(f"{CLIENT} ({self._host.name})")
-        else:
-            self._control.end()
-        self._velocity, self._until = velocity, time.monotonic() + _limited(seconds)
-        self._override = override
-        if self._timer is None:
-            self._timer = self._host.loop.every(_PERIOD, self._repeat)
-        self._send(velocity)
+    def note(self, velocity: YarpVelocity, seconds: float) -> None:
+        """Note that a client sends a velocity, and so does not pause, although the velocity is not executed."""
+        self._sender.on_velocity(velocity, seconds)
+        self._start_timer()
 
     def stop(self) -> None:
         """End the command; a base that followed the command stops. Raises nothing: the caller stops the goals, too."""
-        if self._until:
-            self._until = 0.0
+        if self._machine.on(VelocityEvent.END):
             try:
-                self._send(YarpVelocity())
+                self._output.send(ZERO)
             except Exception:
                 self._host.log.exception("zero velocity could not be published; it is repeated")
             self._control.end()
 
     def stop_client(self) -> None:
         """Stop for a person: a client that repeats its velocity must pause before it drives again."""
-        self._stopped = True
+        self._sender.stop()
         self.stop()
 
     def end(self, done: Callable[[], None]) -> None:
         """Stop, accept no further commands of clients, and call ``done`` after the last zero."""
-        self._ending = True
-        if self._timer is None:
+        self._sender.end()
+        if self._machine.state is VelocityState.SILENT:
             done()
         else:
             self._ended = done
@@ -135,29 +200,44 @@ class VelocityCommander:
 
     def halt(self) -> None:
         """Command zero for `OVERRIDE_SECONDS`, to override any other source of velocities."""
-        self._begin(YarpVelocity(), OVERRIDE_SECONDS, override=True)
+        self._begin(VelocityEvent.HALT, ZERO, OVERRIDE_SECONDS)
 
-    def _repeat(self) -> None:
-        if self.last is not None and (self._override or not self._control.rival()):
-            self._send(self._velocity)
-        elif self._until:
-            self.stop()
-        elif self._zeros and not self._busy() and not self._control.rival():
-            self._send(YarpVelocity())
+    def _begin(self, event: VelocityEvent, velocity: YarpVelocity, seconds: float) -> None:
+        if any(velocity):
+            self._control.begin(f"{CLIENT} ({self._host.name})")
         else:
-            self._close()
+            self._control.end()
+        self._machine.on(event)
+        self._command = _Command(velocity, time.monotonic() + _limited(seconds))
+        self._start_timer()
+        self._output.send(velocity)
 
-    def _close(self) -> None:
-        assert self._timer is not None
-        self._timer.close()
-        self._timer, self._zeros = None, 0
+    def _start_timer(self) -> None:
+        if self._timer is None:
+            self._timer = self._host.loop.every(_PERIOD, self._tick)
+
+    def _tick(self) -> None:
+        self._sender.tick()
+        if self._commands:
+            if self.last is not None and (self._machine.state is VelocityState.HALTING or not self._control.rival()):
+                self._output.send(self._command.velocity)
+            else:
+                self.stop()
+        elif self._output.zeros and not self._busy() and not self._control.rival():
+            self._output.send(ZERO)
+        else:
+            self._rest()
+
+    def _rest(self) -> None:
+        """Publish nothing; end the timer if no velocities arrive."""
+        self._machine.on(VelocityEvent.DONE)
+        self._output.zeros = 0
+        if self._sender.silent and self._timer is not None:
+            self._timer.close()
+            self._timer = None
         ended, self._ended = self._ended, None
         if ended is not None:
             ended()
-
-    def _send(self, velocity: YarpVelocity) -> None:
-        self._zeros = _ZEROS if any(velocity) else max(0, self._zeros - 1)
-        self._publisher.publish(velocity.x, velocity.y, math.radians(velocity.turn))
 
 
 def _limited(seconds: float) -> float:

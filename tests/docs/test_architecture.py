@@ -107,10 +107,12 @@ def diagram(table: Mapping[Any, Mapping[Any, Any]], first: Enum, without: frozen
         diagram(machine.PLANNER, machine.PlannerState.UNKNOWN),
         diagram(machine.DRIVE, machine.DriveState.WAITING, frozenset(("PAUSE", "STOP", "END"))),
         diagram(machine.STOP, machine.StopState.NONE),
+        diagram(machine.VELOCITY, machine.VelocityState.SILENT),
+        diagram(machine.SENDER, machine.SenderState.SILENT, frozenset(("END",))),
         diagram(DRIVER, DriverState.IDLE, frozenset(("GOAL", "BACK_OFF", "APPROACH", "CANCEL"))),
         diagram(DEMAND, Demand.UNWANTED),
     ],
-    ids=["planner", "drive", "stop", "robot_goto", "demand"],
+    ids=["planner", "drive", "stop", "velocity", "sender", "robot_goto", "demand"],
 )
 def test_the_state_diagrams_match_their_tables(drawn: str) -> None:
     assert drawn in PAGE, f"ARCHITECTURE.md must contain:\n{drawn}"
@@ -118,7 +120,15 @@ def test_the_state_diagrams_match_their_tables(drawn: str) -> None:
 
 @pytest.mark.parametrize(
     "event",
-    [*machine.PlannerEvent, *machine.DriveEvent, *machine.StopEvent, *DriverEvent, *DemandEvent],
+    [
+        *machine.PlannerEvent,
+        *machine.DriveEvent,
+        *machine.StopEvent,
+        *machine.VelocityEvent,
+        *machine.SenderEvent,
+        *DriverEvent,
+        *DemandEvent,
+    ],
     ids=lambda event: f"{type(event).__name__}-{event.name.lower()}",
 )
 def test_the_tables_of_events_have_each_event_with_its_meaning(event: Enum) -> None:

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import Any, cast
-from unittest.mock import MagicMock
+from unittest.mock import MagicMock, call
 
 import pytest
 
@@ -18,7 +18,7 @@ from bridge.modules.loop import EventLoop
 from navigation import yarp as calls_module
 from navigation.gateway import services as gateway
 from navigation.gateway.stop import StopAnswer
-from navigation.gateway.velocities import VelocityCommander
+from navigation.gateway.velocities import VelocityCommander, YarpVelocity
 from navigation.robot_goto import ports as robot_goto
 from navigation.robot_path_planner import ports as planner
 from navigation.yarp import Calls, PortConnection
@@ -111,6 +111,16 @@ def test_a_velocity_whose_client_timed_out_is_not_published(
     monkeypatch.setattr(gateway, "_FRESH_SECONDS", 20.0)
     device.applyVelocityCommand(0.3, 0.0, 0.0, 1.0)
     assert out.publish.call_args_list[0].args[0]["linear"]["x"] == 0.3  # zero follows after a second
+
+
+def test_a_velocity_that_is_dropped_is_no_pause_of_its_client(held: tuple[EventLoop, threading.Event]) -> None:
+    loop, resume = held
+    host, commander = MagicMock(loop=loop), MagicMock()
+    device = gateway.GatewayDevice(host, MagicMock(has_base=False), MagicMock(), commander, MagicMock())
+    refused(lambda: device.applyVelocityCommand(0.3, 0.0, 0.0, 1.0))
+    resume.set()
+    loop.call(lambda: None)
+    assert commander.mock_calls == [call.note(YarpVelocity(0.3), 1.0)]
 
 
 @pytest.mark.parametrize(

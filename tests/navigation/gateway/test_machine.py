@@ -13,13 +13,19 @@ from bridge.state_machine import Machine
 from navigation.gateway.machine import (
     DRIVE,
     PLANNER,
+    SENDER,
     STOP,
+    VELOCITY,
     DriveEvent,
     DriveState,
     PlannerEvent,
     PlannerState,
+    SenderEvent,
+    SenderState,
     StopEvent,
     StopState,
+    VelocityEvent,
+    VelocityState,
 )
 from navigation.gateway.motion import Base
 from navigation.gateway.words import MAY_MOVE, Situation, derive, trouble
@@ -29,6 +35,8 @@ TABLES: dict[type[Enum], tuple[Any, type[Enum], Enum]] = {
     PlannerState: (PLANNER, PlannerEvent, PlannerState.UNKNOWN),
     DriveState: (DRIVE, DriveEvent, DriveState.WAITING),
     StopState: (STOP, StopEvent, StopState.NONE),
+    VelocityState: (VELOCITY, VelocityEvent, VelocityState.SILENT),
+    SenderState: (SENDER, SenderEvent, SenderState.SILENT),
 }
 PAIRS = [(state, event) for states, (_table, events, _first) in TABLES.items() for state in states for event in events]
 

@@ -258,3 +258,64 @@ def test_a_refusal_is_logged_again_for_the_next_drive(base: Base, caplog: pytest
             base.commander.command(DRIVE, 0.2)
         base.after(pause)
     assert len(caplog.records) == 2
+
+
+def test_a_stop_before_the_first_velocity_requires_no_pause(base: Base) -> None:
+    base.clock.now = 0.0  # the machine has just started: a time that was never set must not count as recent
+    base.commander.stop_client()
+    base.commander.command(DRIVE, 0.2)
+    assert base.received[-1] == 0.3
+
+
+def test_a_stall_after_a_stop_does_not_count_as_a_pause(base: Base) -> None:
+    """The client's messages of that time have not been read yet."""
+    base.commander.command(DRIVE, 0.2)
+    base.commander.stop_client()
+    for stall in (0.4, 2.0):
+        base.after(0.1)
+        base.loop.stall(stall)
+        base.after(stall)  # the client's next message waits
+        with pytest.raises(RequestError, match="the robot was stopped"):
+            base.commander.command(DRIVE, 0.2)
+    base.after(0.25)
+    base.loop.stall(2.0)  # just before the pause is over
+    base.after(2.1)
+    with pytest.raises(RequestError, match="the robot was stopped"):
+        base.commander.command(DRIVE, 0.2)
+    base.after(0.4)
+    base.commander.command(DRIVE, 0.2)
+    assert base.received[-1] == 0.3
+
+
+def test_a_velocity_that_was_dropped_because_the_gateway_was_busy_is_no_pause(base: Base) -> None:
+    base.commander.command(DRIVE, 0.2)
+    base.commander.stop_client()
+    for _ in range(5):
+        base.after(0.25)
+        base.commander.note(DRIVE, 0.2)
+    base.after(0.25)
+    with pytest.raises(RequestError, match="the robot was stopped"):
+        base.commander.command(DRIVE, 0.2)
+    base.commander.note(YarpVelocity(), 0.2)
+    base.after(0.4)
+    base.commander.command(DRIVE, 0.2)
+    assert base.received[-1] == 0.3
+
+
+def test_zeros_of_a_refused_client_require_no_pause(base: Base) -> None:
+    for _ in range(5):
+        with pytest.raises(RequestError, match="the planner drives"):
+            base.commander.command(YarpVelocity(), 0.2, planner_drives=True)
+        base.after(0.1)
+    base.commander.command(DRIVE, 0.2)
+    assert base.received == [0.3]
+
+
+def test_nothing_runs_while_no_client_drives(base: Base) -> None:
+    """An idle gateway is not woken up."""
+    base.commander.command(DRIVE, 0.2)
+    base.after(1.0)
+    with pytest.raises(RequestError):
+        base.commander.command(DRIVE, 0.2, planner_drives=True)
+    base.after(5.0)
+    assert not base.clock.pending

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Iterator
 from typing import Any
 
@@ -279,3 +280,16 @@ def test_a_client_that_repeats_its_velocity_does_not_drive_after_a_stop(
     assert not yarp.get_last_velocity_command_RPC()[0]
     assert not yarp.apply_velocity_command_RPC(0.2, 0.0, 0.0, 0.0)
     until(lambda: yarp.apply_velocity_command_RPC(0.2, 0.0, 0.0, 0.0), "it drives after a pause", 20, PAUSE)
+
+
+def test_a_stall_of_the_gateway_after_a_stop_is_no_pause_of_a_client(rig: Rig, yarp: INavigation2DMsgs) -> None:
+    until(lambda: yarp.apply_velocity_command_RPC(0.2, 0.0, 0.0, 0.2), "the client drives", 20, PAUSE)
+    stop = rig.far.call("/navigation/stop", "std_srvs/Trigger")
+    refused = lambda: not yarp.apply_velocity_command_RPC(0.2, 0.0, 0.0, 1.0)  # noqa: E731
+    until(lambda: refused() and stop.result(0.0)["done"], "the robot is stopped", 20)
+    never, over = threading.Event(), threading.Event()
+    rig.module._host.loop.post(lambda: (never.wait(1.5), over.set()))
+    while not over.is_set():
+        assert refused()
+    for _ in range(3):
+        assert refused()

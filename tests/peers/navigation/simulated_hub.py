@@ -23,6 +23,11 @@ class Clock:
     def monotonic(self) -> float:
         return self.now
 
+    @property
+    def pending(self) -> bool:
+        """Whether any call is due later."""
+        return bool(self._due)
+
     def after(self, seconds: float, action: Callable[[], Any]) -> None:
         heapq.heappush(self._due, (self.now + seconds, next(self._numbers), action))
 
