@@ -139,6 +139,7 @@ class SenderState(Enum):
 
     SILENT = "silent"  #: no velocity but zero for a moment
     SENDING = "sending"  #: velocities arrive, and may drive
+    DISPLACED = "displaced"  #: velocities arrive, and were refused because the planner or a person drove
     STOPPED = "stopped"  #: velocities arrive, and the robot was stopped
     ENDED = "ended"  #: the gateway is shutting down
 
@@ -147,6 +148,7 @@ class SenderEvent(Enum):
     """What changes `SenderState`."""
 
     VELOCITY = "a client sends a velocity other than zero"
+    DISPLACE = "such a velocity is refused, because the planner or a person drives"
     STOP = "a person stops the robot"
     PAUSE = "no velocity but zero has arrived for a moment"
     END = "the gateway shuts down"
@@ -228,9 +230,11 @@ def _sender() -> Table[SenderState, SenderEvent]:
     state, event = SenderState, SenderEvent
     always = {event.END: state.ENDED}
     stopped = always | {event.PAUSE: state.SILENT}
+    displaced = stopped | {event.STOP: state.STOPPED}
     return {
         state.SILENT: always | {event.VELOCITY: state.SENDING},
-        state.SENDING: stopped | {event.STOP: state.STOPPED},
+        state.SENDING: displaced | {event.DISPLACE: state.DISPLACED},
+        state.DISPLACED: displaced,
         state.STOPPED: stopped,
         state.ENDED: {},
     }

@@ -27,6 +27,7 @@ LONGEST_SECONDS = 1.0
 _PAUSE_SECONDS = 0.3
 _PAUSE = f"first send no velocity for the command's time-out, at least {_PAUSE_SECONDS:g} s"
 _REFUSALS = {
+    SenderState.DISPLACED: f"the planner or a person drove; {_PAUSE}",
     SenderState.STOPPED: f"the robot was stopped; {_PAUSE}",
     SenderState.ENDED: "the gateway is shutting down",
 }
@@ -51,7 +52,7 @@ ZERO = YarpVelocity()
 class VelocitySender:
     """The YARP clients that command velocities: whether they may drive, or have to pause first.
 
-    A client that was stopped repeats its velocity, and must not drive by itself later. It has paused if no
+    A client that was stopped or refused repeats its velocity, and must not drive by itself later. It has paused if no
     velocity but zero has arrived for the time-out of its last one, and at least `_PAUSE_SECONDS`. Silence is counted in
     calls of `tick`, because nothing is read while this process stands still.
     """
@@ -83,9 +84,12 @@ class VelocitySender:
             raise RequestError(reason)
 
     def _refusal(self, velocity: YarpVelocity, other: str) -> str:
+        moves = any(velocity)
+        if moves and other:
+            self._machine.on(SenderEvent.DISPLACE)
         state = self._machine.state
-        held = _REFUSALS.get(state, "") if any(velocity) or state is SenderState.ENDED else ""
-        return held or other
+        held = _REFUSALS.get(state, "") if moves or state is SenderState.ENDED else ""
+        return (other or held) if state is SenderState.DISPLACED else (held or other)
 
     def _log_refusal(self, reason: str) -> None:
         """Log a refusal, because YARP's reply cannot contain the reason; not again while the client repeats itself."""
@@ -163,8 +167,8 @@ class VelocityCommander:
     def command(self, velocity: YarpVelocity, seconds: float, *, planner_drives: bool = False) -> None:
         """Command a velocity for this time, at most `LONGEST_SECONDS`.
 
-        Raises `RequestError` after `end`, after `stop_client` until the client has paused, and while the planner drives
-        or another person drives manually.
+        Raises `RequestError` after `end`, while the planner drives or another person drives manually, and after that or
+        `stop_client` until the client has paused.
         """
         self.note(velocity, seconds)
         self._sender.check(velocity, _PLANNER_DRIVES if planner_drives else self._control.rival())

@@ -85,6 +85,12 @@ def test_a_stop_is_confirmed_by_both_the_planner_and_the_base() -> None:
                 }
 
 
+def test_a_sender_that_was_stopped_or_displaced_drives_only_after_a_pause() -> None:
+    for state in (SenderState.STOPPED, SenderState.DISPLACED):
+        following = {event: to for event, to in SENDER[state].items() if to is not SenderState.STOPPED}
+        assert following == {SenderEvent.PAUSE: SenderState.SILENT, SenderEvent.END: SenderState.ENDED}
+
+
 ENDED = frozenset((State.IDLE, State.REACHED, State.ABORTED, State.PAUSED))
 SITUATIONS = [
     Situation("nav2", planner_state=planner, planner_age=9.0, base=base, goals=goals, doubtful=doubtful, motion=motion,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
@@ -302,6 +303,35 @@ def test_a_velocity_that_was_dropped_because_the_gateway_was_busy_is_no_pause(ba
     assert base.received[-1] == 0.3
 
 
+@pytest.mark.parametrize("who", ["a person", "the planner"])
+def test_a_client_that_was_refused_drives_only_after_a_pause(
+    base: Base, caplog: pytest.LogCaptureFixture, who: str
+) -> None:
+    """Its operator has seen nothing move, and does not expect the robot to start when the other ends."""
+    planner = who == "the planner"
+    reason = "the planner drives; stop or suspend it first"
+    if not planner:
+        base.drivers["7"], reason = "anna (web)", "anna (web) drives manually"
+    for _ in range(20):
+        with pytest.raises(RequestError, match=re.escape(reason)):
+            base.commander.command(DRIVE, 0.2, planner_drives=planner)
+        base.after(0.1)
+    base.drivers.clear()
+    for _ in range(20):
+        with pytest.raises(RequestError, match="the planner or a person drove; first send no velocity"):
+            base.commander.command(DRIVE, 0.2)
+        base.after(0.1)
+    assert base.received == []
+    assert [record.getMessage().partition("; first")[0] for record in caplog.records] == [
+        f"a velocity of a YARP client is refused: {reason}",
+        "a velocity of a YARP client is refused: the planner or a person drove",
+    ]
+    base.commander.command(YarpVelocity(), 0.2)  # the joystick is released
+    base.after(0.4)
+    base.commander.command(DRIVE, 0.2)
+    assert base.received[-1] == 0.3
+
+
 def test_zeros_of_a_refused_client_require_no_pause(base: Base) -> None:
     for _ in range(5):
         with pytest.raises(RequestError, match="the planner drives"):
@@ -309,6 +339,15 @@ def test_zeros_of_a_refused_client_require_no_pause(base: Base) -> None:
         base.after(0.1)
     base.commander.command(DRIVE, 0.2)
     assert base.received == [0.3]
+
+
+def test_a_stop_is_the_reason_for_a_pause_although_a_planner_drove_before(base: Base) -> None:
+    with pytest.raises(RequestError, match="the planner drives"):
+        base.commander.command(DRIVE, 0.2, planner_drives=True)
+    base.commander.stop_client()
+    for planner in (True, False):
+        with pytest.raises(RequestError, match="the robot was stopped"):
+            base.commander.command(DRIVE, 0.2, planner_drives=planner)
 
 
 def test_nothing_runs_while_no_client_drives(base: Base) -> None:

@@ -293,3 +293,19 @@ def test_a_stall_of_the_gateway_after_a_stop_is_no_pause_of_a_client(rig: Rig, y
         assert refused()
     for _ in range(3):
         assert refused()
+
+
+def test_a_client_that_repeats_its_velocity_does_not_drive_after_the_planner(
+    rig: Rig, yarp: INavigation2DMsgs, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(commands, "LONGEST_SECONDS", 600.0)  # on a busy machine, a second passes between two commands
+    assert yarp.goto_target_by_absolute_location_RPC(Map2DLocation("house", 3.0, 1.0, 0.0))
+    goal = rig.planner.until(1)
+    rig.state(State.MOVING)
+    assert not yarp.apply_velocity_command_RPC(0.2, 0.0, 0.0, 600.0)
+    rig.planner.reach(goal)
+    rig.state(State.REACHED)
+    for _ in range(3):
+        assert not yarp.apply_velocity_command_RPC(0.2, 0.0, 0.0, 600.0)
+    assert not yarp.apply_velocity_command_RPC(0.2, 0.0, 0.0, 0.0)
+    until(lambda: yarp.apply_velocity_command_RPC(0.2, 0.0, 0.0, 0.0), "it drives after a pause", 20, PAUSE)
