@@ -37,7 +37,17 @@ BELOW = {
     "interfaces": {"config", "messages"},
     "hub": {*TOOLS, "config", "messages"},
     "stores": {*TOOLS, "config", "hub"},
-    "client": {*TOOLS, "config", "messages", "hub", "stores", "tf", "routing.counters", "routing.limits"},
+    "client": {
+        *TOOLS,
+        "config",
+        "messages",
+        "hub",
+        "stores",
+        "tf",
+        "routing.counters",
+        "routing.limits",
+        "routing.rules",
+    },
     "routing": {*TOOLS, "config", "messages", "hub"},
     "modules": {
         *TOOLS,

@@ -12,7 +12,7 @@ from bridge.client.types import Types
 from bridge.hub.endpoints.publisher import HubPublisher
 from bridge.hub.wire.qos import Qos
 from bridge.messages.errors import ConversionError
-from bridge.routing.limits import default_priority
+from bridge.routing.rules import RuleSet
 
 MATCH_SECONDS = 2.0
 _POLL_SECONDS = 0.02
@@ -21,7 +21,7 @@ _POLL_SECONDS = 0.02
 class Publisher:
     """Publishes on one topic. ``type_name`` is in ROS 1's or ROS 2's spelling; raises `ClientError` if it is unknown.
 
-    ``priority`` defaults to `default_priority`, as for a topic whose priority no rule sets.
+    ``priority`` defaults to `RuleSet.native_class`: messages that a rule makes commands are commands here, too.
 
     Attributes:
         kind: name of the topic, its type and the type's hash.
@@ -33,7 +33,8 @@ class Publisher:
     ) -> None:
         self._types, type_name, qos = types, types.name(type_name), qos or Qos()
         self.kind = topic, type_name, types.hash_of(type_name)
-        priority = priority or default_priority(topic, type_name, latched=qos.latched).value
+        if not priority:
+            priority = RuleSet(client.config.rules).native_class(topic, type_name, latched=qos.latched).value
         self.end = client.hub.publisher(*self.kind, qos, priority=priority)
 
     def publish(self, message: Mapping[str, Any]) -> None:

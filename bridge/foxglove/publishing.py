@@ -32,6 +32,7 @@ from bridge.messages.values import MessageReader
 from bridge.messages.velocities import TWIST, VELOCITIES
 from bridge.modules.host import Host
 from bridge.routing.counters import Counters
+from bridge.routing.limits import Priority
 from bridge.routing.rules import RuleSet
 from bridge.web.verbs.hold import RELEASED_SECONDS, HandDriving
 
@@ -261,7 +262,7 @@ class Publishing:
                 "not a topic name: start it with a slash; its parts consist of letters, digits and underscores"
             )
         coder = Coder(self._host, self._definitions, channel)
-        commands = self._rules.enter("zenoh", channel.topic, coder.type_name).priority == "command"
+        commands = self._rules.native_class(channel.topic, coder.type_name, latched=False) is Priority.COMMAND
         if not (commands or coder.type_name in VELOCITIES or channel.topic in self._velocities):
             return ClientTopic(self._host, channel, visitor, coder)
         if channel.topic != self._velocity or coder.type_name != TWIST:

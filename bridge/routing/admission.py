@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.routing.counters import Counters
-from bridge.routing.limits import Priority, RateLimit, default_priority
+from bridge.routing.limits import Priority, RateLimit
 from bridge.routing.rules import RoutePolicy
 from bridge.routing.stall import AgeGate, StallDetector
 
@@ -36,14 +36,8 @@ class TopicAdmission:
             )
 
     def priority_of(self, *, latched: bool) -> Priority:
-        """Return the priority class that the rule sets, or else the default for the names, the type and latching.
-
-        A topic that a rule renames carries commands if either name implies it.
-        """
-        if self.policy.priority:
-            return Priority(self.policy.priority)
-        classes = {default_priority(topic, self._type_name, latched=latched) for topic in self._topics}
-        return Priority.COMMAND if Priority.COMMAND in classes else classes.pop()
+        """Return the priority class; see `RoutePolicy.class_of`."""
+        return self.policy.class_of(self._topics, self._type_name, latched=latched)
 
     def latches(self, qos: Qos) -> bool:
         """Return whether the messages of a publisher with this QoS are latched; commands never are."""

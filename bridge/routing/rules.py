@@ -12,6 +12,7 @@ from typing import Literal, NamedTuple
 from bridge.config.rules import MadeRule
 from bridge.config.sections.routing import QosOverride, RoutingSection, Rule
 from bridge.hub.wire.qos import Durability, Qos, Reliability
+from bridge.routing.limits import Priority, default_priority
 from bridge.sides import all_networks
 
 _WILDCARD = re.compile(r"\*\*|\*|\?")
@@ -141,6 +142,16 @@ class RoutePolicy:
     stamped: bool | None = None
     qos: QosOverride = field(default_factory=QosOverride)
 
+    def class_of(self, topics: Iterable[str], type_name: str, *, latched: bool) -> Priority:
+        """Return the priority class that the rule sets, or else the default for the names, the type and latching.
+
+        ``topics`` are a topic's names: one that a rule renames carries commands if either name implies it.
+        """
+        if self.priority:
+            return Priority(self.priority)
+        classes = {default_priority(topic, type_name, latched=latched) for topic in topics}
+        return Priority.COMMAND if Priority.COMMAND in classes else classes.pop()
+
     def override(self, qos: Qos) -> Qos:
         """Return the QoS with the policies that the rule sets."""
         reliability, durability = qos.reliability, qos.durability
@@ -212,6 +223,17 @@ class RuleSet:
         matches = [m for m in self._matches(ENTRY, topic, type_name, kind) if m.rule.to in (None, ENTRY)]
         policy = _denial(matches, topic) or _permission(matches, topic) or self._default(topic)
         return replace(policy, name=topic, stamped=None)
+
+    def native(self, topic: str, type_name: str) -> list[RoutePolicy]:
+        """Return the decisions on a topic of the hub's own programs: first on the hub, then for each side."""
+        sides = [side for side in all_networks() if side != ENTRY]
+        return [self.enter(ENTRY, topic, type_name), *(self.leave(ENTRY, side, topic, type_name) for side in sides)]
+
+    def native_class(self, topic: str, type_name: str, *, latched: bool) -> Priority:
+        """Return the priority class on the hub for such a topic: command if its messages are commands on any side."""
+        policies = self.native(topic, type_name)
+        classes = [policy.class_of((topic, policy.name), type_name, latched=latched) for policy in policies]
+        return Priority.COMMAND if Priority.COMMAND in classes else classes[0]
 
     def _leave(self, origin: str, side: str, topic: str, type_name: str, kind: Kind, *, elsewhere: bool) -> RoutePolicy:
         matches = list(self._matches(origin, topic, type_name, kind))

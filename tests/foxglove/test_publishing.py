@@ -88,9 +88,11 @@ def test_a_watching_client_publishes_nothing(desk: Desk) -> None:
         assert not desk.far.publishers("/said")
 
 
-def test_invalid_channels_and_messages_are_reported(driven: Desk) -> None:
-    subscription = driven.far.subscribe("/n", "std_msgs/Int8")
-    with driven.app() as app:
+def test_invalid_channels_and_messages_are_reported(desk: Desk) -> None:
+    rules = [{"topic": "/steering", "to": "ros1", "priority": "command"}]
+    desk.open_with(**DRIVE, routing={"rules": rules})
+    subscription = desk.far.subscribe("/n", "std_msgs/Int8")
+    with desk.app() as app:
         for topic, type_name, encoding, reason in (
             ("/a", "std_msgs/msg/String", "protobuf", "the encoding must be cdr or json"),
             ("a b", "std_msgs/msg/String", "json", "not a topic name"),
@@ -99,12 +101,13 @@ def test_invalid_channels_and_messages_are_reported(driven: Desk) -> None:
             ("/a", "no type", "json", "'no type' is not a type name"),
             ("/wheels/cmd_vel", TWIST, "json", "velocities are accepted only on /cmd_vel"),
             ("/anything", "geometry_msgs/msg/TwistStamped", "json", "velocities are accepted only on /cmd_vel"),
+            ("/steering", "std_msgs/msg/Float64", "json", "velocities are accepted only on /cmd_vel"),
         ):
             app.advertise(topic, type_name, encoding)
             wait_for_status(app, reason)
-        assert not driven.far.publishers("/a")
+        assert not desk.far.publishers("/a")
         number = app.advertise("/n", "std_msgs/msg/Int8", "json")
-        until(lambda: driven.far.publishers("/n"), "the topic is published")
+        until(lambda: desk.far.publishers("/n"), "the topic is published")
         for data, reason in (
             (b"{", "the message is not JSON"), (b"[" * 100_000, "the message is not JSON"), (b"3", "not a JSON object"),
             (b'{"data": 300}', "data must be int8, not 300"), (b'{"dat": 3}', "has no field 'dat'"),
@@ -113,13 +116,13 @@ def test_invalid_channels_and_messages_are_reported(driven: Desk) -> None:
             app.publish(number, data)
             wait_for_status(app, reason)
         app.publish(number, b'{"data": 3}')
-        assert driven.far.wait(subscription, 1) == [{"data": 3}]
+        assert desk.far.wait(subscription, 1) == [{"data": 3}]
         binary = app.advertise("/n", "std_msgs/msg/Int8", "cdr")
-        until(lambda: len(driven.far.publishers("/n")) == 2, "the second publisher is on the hub")
+        until(lambda: len(desk.far.publishers("/n")) == 2, "the second publisher is on the hub")
         app.publish(binary, b"\0\1\0")
         (texts,) = (
             entry
-            for entry in app.until(lambda: bad(driven), "the invalid message is counted")
+            for entry in app.until(lambda: bad(desk), "the invalid message is counted")
             if entry["drops"]["bad"] == 1
         )
         assert texts["error"]

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import pytest
 
+from bridge.config.sections.routing import RoutingSection
 from bridge.routing.admission import TopicAdmission
 from bridge.routing.counters import Counters
 from bridge.routing.limits import Priority
-from bridge.routing.rules import RoutePolicy
+from bridge.routing.rules import RoutePolicy, RuleSet
 from bridge.routing.stall import StallDetector
 
 TWIST = "geometry_msgs/msg/Twist"
@@ -31,3 +32,32 @@ def test_a_renamed_topic_carries_commands_if_either_name_implies_it(
     policy = RoutePolicy(allowed=True, why="", name=topics[-1], priority=rule)
     admission = TopicAdmission(topics, type_name, policy, Counters(), StallDetector())
     assert admission.priority_of(latched=latched) is expected
+
+
+FLOAT = "std_msgs/msg/Float64"
+
+
+@pytest.mark.parametrize(
+    ("topic", "type_name", "latched", "expected"),
+    [
+        ("/teleop/twist", TWIST, False, Priority.COMMAND),
+        ("/teleop/twist", TWIST, True, Priority.COMMAND),
+        ("/teleop/twist", FLOAT, False, Priority.STREAM),
+        ("/wheels", FLOAT, False, Priority.COMMAND),
+        ("/steering", FLOAT, False, Priority.COMMAND),
+        ("/arm/cmd_vel", TWIST, False, Priority.STREAM),
+        ("/cmd_vel", TWIST, False, Priority.COMMAND),
+        ("/map", "nav_msgs/msg/OccupancyGrid", True, Priority.STATE),
+    ],
+)
+def test_a_program_on_the_hub_sends_commands_if_they_are_commands_on_a_side(
+    topic: str, type_name: str, latched: bool, expected: Priority
+) -> None:
+    rules = [
+        {"topic": "/teleop/twist", "to": "ros1", "rename": "/cmd_vel"},
+        {"topic": "/wheels", "priority": "command"},
+        {"topic": "/steering", "to": "ros2", "priority": "command"},
+        {"topic": "/arm/cmd_vel", "priority": "stream"},
+    ]
+    rule_set = RuleSet(RoutingSection.model_validate({"rules": rules}))
+    assert rule_set.native_class(topic, type_name, latched=latched) is expected

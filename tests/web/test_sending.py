@@ -78,6 +78,7 @@ def test_invalid_messages_and_calls_are_refused(desk: Desk, verb: str, args: dic
         ("/cmd_vel", "geometry_msgs/Twist"),
         ("/cmd_vel", "std_msgs/String"),
         ("/wheels", "std_msgs/msg/Float64"),
+        ("/steering", "std_msgs/msg/Float64"),
         ("/anything", "geometry_msgs/msg/Twist"),
         ("/anything", "geometry_msgs/TwistStamped"),
         ("/tug/cmd", "std_msgs/String"),
@@ -89,7 +90,12 @@ def test_velocities_are_refused(desk: Desk, topic: str, type_name: str) -> None:
             "planner": "tug",
             "planners": [{"name": "tug", "side": "ros1", "action": "/tug", "velocity": "/tug/cmd"}],
         },
-        routing={"rules": [{"topic": "/wheels", "priority": "command"}]},
+        routing={
+            "rules": [
+                {"topic": "/wheels", "priority": "command"},
+                {"topic": "/steering", "to": "ros1", "priority": "command"},
+            ]
+        },
     )
     with TestPage(desk.port) as page:
         error = page.call("publish", topic=topic, type=type_name, message={})["error"]

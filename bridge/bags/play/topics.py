@@ -21,8 +21,7 @@ from bridge.messages.registry import Registry
 from bridge.messages.velocities import VELOCITIES
 from bridge.routing.limits import COMMAND_NAME, Priority, default_priority
 from bridge.routing.rewrites import TF_TYPE
-from bridge.routing.rules import ENTRY, RuleSet
-from bridge.sides import all_networks
+from bridge.routing.rules import RuleSet
 
 STATIC = "/tf_static"
 _GOAL = "Goal"
@@ -99,8 +98,7 @@ class CommandTopics:
         last = name.rpartition("/")[2]
         if any(_fits(last, part) for part in self._parts.get(_short(type_name), ())):
             return True
-        policies = [self._rules.leave(ENTRY, side, name, type_name) for side in all_networks() if side != ENTRY]
-        policies.append(self._rules.enter(ENTRY, name, type_name))
+        policies = self._rules.native(name, type_name)
         return any(p.priority == Priority.COMMAND.value or COMMAND_NAME.search(p.name) for p in policies)
 
 

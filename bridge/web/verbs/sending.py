@@ -21,7 +21,7 @@ from bridge.hub.wire.qos import Qos
 from bridge.messages.actions import split
 from bridge.messages.velocities import VELOCITIES
 from bridge.modules.host import Host
-from bridge.routing.limits import RateLimit
+from bridge.routing.limits import Priority, RateLimit
 from bridge.routing.rules import RuleSet
 from bridge.web.sources.definitions import KINDS, definition
 from bridge.web.sources.messages import cut
@@ -74,7 +74,7 @@ class Sending:
     def _refusal(self, topic: str, type_name: str) -> str:
         if topic.startswith(TAPS) or not ROS2_NAME.fullmatch(topic):
             return f"{topic[:80]!r} is not a topic name: /, then parts of letters, digits and underscores"
-        commands = self._rules.enter("zenoh", topic, type_name).priority == "command"
+        commands = self._rules.native_class(topic, type_name, latched=False) is Priority.COMMAND
         if commands or type_name in VELOCITIES or topic in self._velocities:
             return (
                 "velocities cannot be sent from a form, because nothing would stop the base: drive manually"
