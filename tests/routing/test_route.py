@@ -24,11 +24,12 @@ from bridge.routing.counters import Counters
 from bridge.routing.decision import RouteKey
 from bridge.routing.dispatcher import Dispatcher
 from bridge.routing.edge import Endpoint, Kind, MadeBy
-from bridge.routing.hub_to_side import MAX_INVENTED, HubToSideRoute, SidePublishers
+from bridge.routing.hub_to_side import HubToSideRoute
 from bridge.routing.limits import Priority
 from bridge.routing.peer_watch import Lease
 from bridge.routing.route import EngineContext
 from bridge.routing.rules import RoutePolicy
+from bridge.routing.side_publishers import MAX_INVENTED, SidePublishers
 from bridge.routing.side_to_hub import SideToHubRoute
 from bridge.routing.stall import StallDetector
 from tests.peers.fake import FakeEdge, FakeNetwork
