@@ -39,6 +39,11 @@ class TopicAdmission:
         """Return the priority class; see `RoutePolicy.class_of`."""
         return self.policy.class_of(self._topics, self._type_name, latched=latched)
 
+    @property
+    def commands(self) -> bool:
+        """Whether its messages are commands."""
+        return self.priority_of(latched=False) is Priority.COMMAND
+
     def latches(self, qos: Qos) -> bool:
         """Return whether the messages of a publisher with this QoS are latched; commands never are."""
         return self.override(qos).latched

@@ -189,6 +189,10 @@ class Edge(ABC):
     outlives_network: ClassVar[bool] = False
     """Whether endpoints keep their ids if the network's identity changes, as in ROS 1 when only the master restarts."""
 
+    one_queue: ClassVar[bool] = False
+    """Whether all publishers of a topic share one queue to each subscriber, as in a ROS 1 node: commands, which are not
+    queued, then exclude other messages from the topic."""
+
     awaited: ClassVar[str] = "its network"
     """What the edge waits for while the network is unavailable; shown to people."""
 

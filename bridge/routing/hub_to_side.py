@@ -422,6 +422,26 @@ class HubToSideTopics(RouteSet[tuple[RouteKey, str], HubToSideRoute]):
                 )
                 return
             route = HubToSideRoute(key, side_topic, endpoints[0][0].origin, conversion, policy, self._context)
+            if edge.one_queue and not self._share_topic(route, decision):
+                return
             self._routes[out_key] = route
         live.add(out_key)
         route.attempt(lambda: route.update(*endpoints), decision)
+
+    def _share_topic(self, route: HubToSideRoute, decision: RouteDecision) -> bool:
+        """Close the routes that the commands of a new route exclude from its topic; refuse it if it is excluded itself.
+
+        Return whether the route may exist. Commands have precedence whichever came first: one of them may be a stop.
+        """
+        others = [k for k, r in self._routes.items() if k[1] == route.side_topic and r.commands is not route.commands]
+        if others and not route.commands:
+            route.close()
+            decision.refuse(
+                f"{route.side_topic} has commands, which are not queued, so it cannot have other messages, too",
+                "set `priority: command` in the rules of both topics, or rename one of the two",
+            )
+            return False
+        for key in others:
+            self._routes.pop(key).close()
+            self._context.wake()  # the next check refuses them
+        return True

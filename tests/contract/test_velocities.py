@@ -107,3 +107,36 @@ def test_a_rule_converts_the_velocities_of_another_program(
     if form == TWIST_STAMPED:
         assert received["header"]["frame_id"] == "base_link"
         assert received["header"]["stamp"]["sec"]
+
+
+@pytest.mark.parametrize("side", ["ros1"], indirect=True)
+@pytest.mark.parametrize("first", [CMD_VEL, "/recorded"])
+def test_a_ros_1_base_receives_commands_although_a_rule_renames_other_messages_to_its_topic(
+    side: Side, far: HubSide, config: Callable[..., Any], first: str
+) -> None:
+    """The connections of a ROS 1 topic have one queue each, and commands are not queued."""
+    side.bridge(config(rules=[{"topic": "/recorded", "rename": CMD_VEL, "priority": "stream"}]))
+    base = side.peer()
+    end = base.subscribe(CMD_VEL, BASES[TWIST])
+    programs = {first: far.advertise(first, BASES[TWIST])}
+
+    def arrives(topic: str, speed: float) -> Callable[[], bool]:
+        """Return a function that publishes a velocity and returns whether the base has received it."""
+
+        def arrived() -> bool:
+            far.publish(programs[topic], {"linear": {"x": speed}})
+            return speed in [message["linear"]["x"] for message in base.wait(end, 1, 0.05)]
+
+        return arrived
+
+    until(arrives(first, 0.25), "the base receives the first program's velocity", 20)
+    (second,) = {CMD_VEL, "/recorded"} - {first}
+    programs[second] = far.advertise(second, BASES[TWIST])
+    until(
+        lambda: [line["hub_topic"] for line in far.explain(CMD_VEL) if line["decision"] == "refused"] == ["/recorded"],
+        "the other messages are refused",
+        20,
+    )
+    far.publish(programs["/recorded"], {"linear": {"x": 0.5}})
+    until(arrives(CMD_VEL, 0.75), "the base receives commands", 20)
+    assert 0.5 not in [message["linear"]["x"] for message in base.wait(end, 1)]

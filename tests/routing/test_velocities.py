@@ -34,6 +34,7 @@ class Edge(FakeEdge):
     """An in-memory network with the name of a side, which rules can refer to."""
 
     side = "ros1"
+    one_queue = True
 
 
 class Side:
@@ -52,9 +53,9 @@ class Side:
         receive = lambda payload, *_: self.received.append(payload)  # noqa: E731
         return self.network.read_from(topic, type_name, Qos(), made_by, "/base", receive)
 
-    def program(self, type_name: str) -> HubPublisher:
+    def program(self, type_name: str, topic: str = CMD_VEL) -> HubPublisher:
         """Advertise velocities on the hub."""
-        return self.far.publisher(CMD_VEL, type_name, REGISTRY.ros2(type_name).type_id, Qos(depth=1))
+        return self.far.publisher(topic, type_name, REGISTRY.ros2(type_name).type_id, Qos(depth=1))
 
     def refused(self) -> list[RouteDecision]:
         """Return what the last check refused; a check creates its routes before it stores its decisions."""
@@ -272,3 +273,24 @@ def test_a_rule_requests_no_latched_velocity_from_a_side(side: Side) -> None:
     publishers = until(lambda: side.far.graph.publishers(CMD_VEL), "the publisher is seen")
     assert [publisher.qos.latched for publisher in publishers] == [False]
     assert [route.counters.messages for route in side.engine.routes()] == [0], "the last velocity does not cross"
+
+
+@pytest.mark.parametrize("first", ["commands", "others"])
+def test_commands_exclude_other_messages_from_a_topic_with_one_queue(side: Side, first: str) -> None:
+    """The order does not matter: commands must not wait in a queue, and one of them may be a stop."""
+    side.rules({"topic": "/recorded", "rename": CMD_VEL, "priority": "stream"})
+    side.base(CMD_VEL, TWIST)
+    topics = [CMD_VEL, "/recorded"] if first == "commands" else ["/recorded", CMD_VEL]
+    programs = {}
+    for count, topic in enumerate(topics, 1):
+        programs[topic] = side.program(TWIST, topic)
+        until(lambda n=count: len(side.engine.routes()) + len(side.refused()) == n, f"{topic} has been decided")
+    until(lambda: [d.hub_topic for d in side.refused()] == ["/recorded"], "the other messages are refused")
+    assert [route.hub_topic for route in side.engine.routes()] == [CMD_VEL]
+    (refused,) = side.refused()
+    assert refused.reason == f"{CMD_VEL} has commands, which are not queued, so it cannot have other messages, too"
+    assert refused.cure == "set `priority: command` in the rules of both topics, or rename one of the two"
+    until(lambda: arrived(side, programs[CMD_VEL], TWIST, TWIST), "the command arrives on the side")
+    programs[CMD_VEL].close()
+    until(lambda: [r.hub_topic for r in side.engine.routes()] == ["/recorded"], "without commands, the others pass")
+    assert side.refused() == []

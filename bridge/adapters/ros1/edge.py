@@ -58,6 +58,7 @@ class Ros1Edge(SideEdge):
     awaited: ClassVar[str] = "the ROS master"
     services: ClassVar[bool] = True
     outlives_network: ClassVar[bool] = True
+    one_queue: ClassVar[bool] = True
 
     def __init__(self, config: Config, registry: Registry, state: Path) -> None:
         super().__init__(config, registry)
