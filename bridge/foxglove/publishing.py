@@ -34,12 +34,19 @@ from bridge.modules.host import Host
 from bridge.routing.counters import Counters
 from bridge.routing.limits import Priority
 from bridge.routing.rules import RuleSet
-from bridge.web.verbs.hold import RELEASED_SECONDS, HandDriving
+from bridge.routing.stall import StallDetector
+from bridge.web.verbs.hold import HandDriving
 
 _log = logging.getLogger("midspan.foxglove")
 
 ENCODINGS = ("cdr", "json")
 DEPTH = 10  # the depth of the publishers' QoS
+
+RELEASED_SECONDS = 1.5
+"""A control counts as released after this time without a message. The app's panel sends one a second."""
+
+STALL_SECONDS = 0.5
+"""After a longer stall of this process, messages may have arrived that have not been read yet."""
 
 
 class NotPublishedError(Exception):
@@ -162,6 +169,8 @@ class ClientVelocity(PublishedChannel):
     def __init__(self, driving: HandDriving, channel: Advertised, visitor: Visitor, coder: Coder) -> None:
         super().__init__(channel, visitor)
         self.who = visitor.who
+        self._stalls = StallDetector()
+        self._stalls.start()
         self._driving, self._coder = driving, coder
         self._refusal = ""
         self._arrived = self._pressed = -math.inf
@@ -179,7 +188,8 @@ class ClientVelocity(PublishedChannel):
             self.counters.dropped("bad")
             raise NotPublishedError("a velocity must be finite")
         self._refusal = ""
-        if message.arrived - self._arrived > RELEASED_SECONDS or not any((x, y, rotation)):
+        silent = message.arrived - self._arrived > RELEASED_SECONDS and not self._stalls.hung(STALL_SECONDS)
+        if silent or not any((x, y, rotation)):
             self._pressed = message.arrived  # an app has no message for a released control: it is silent, or sends zero
         self._arrived = message.arrived
         self._driving.hold(self, x, y, rotation, message.arrived, self._pressed)
@@ -199,6 +209,7 @@ class ClientVelocity(PublishedChannel):
     def close(self) -> None:
         """Command zero velocity if the client is driving."""
         self._driving.release(self)
+        self._stalls.stop()
 
 
 class Publishing:

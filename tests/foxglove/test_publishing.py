@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import threading
 from typing import Any
+from unittest.mock import MagicMock
 
 import pytest
 
@@ -180,7 +181,7 @@ def test_a_halt_on_the_hub_ends_driving_until_the_control_is_released(driven: De
 def test_driving_is_refused_while_a_person_drives_with_another_program(
     driven: Desk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module, name in ((hold, "HOLD_SECONDS"), (hold, "RELEASED_SECONDS"), (publishing, "RELEASED_SECONDS")):
+    for module, name in ((hold, "HOLD_SECONDS"), (publishing, "RELEASED_SECONDS")):
         monkeypatch.setattr(module, name, 60.0)  # on a busy machine, the app may be silent for longer
     subscription = driven.far.subscribe("/cmd_vel", "geometry_msgs/Twist")
     other = ManualControl(driven.far.hub, "/cmd_vel")
@@ -195,6 +196,27 @@ def test_driving_is_refused_while_a_person_drives_with_another_program(
         assert driven.far.wait(subscription, 1, 0.1) == []
         app.publish(number, velocity(0.0))
         drive_until_received(driven, app, number, subscription)
+
+
+def test_a_stall_of_the_server_does_not_release_a_control(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The app has no message for a released control, and its messages of that time have not been read yet."""
+    stalls, driving, coder = MagicMock(), MagicMock(), MagicMock()
+    monkeypatch.setattr(publishing, "StallDetector", lambda: stalls)
+    coder.fields.return_value = {"linear": {"x": 0.1, "y": 0.0}, "angular": {"z": 0.0}}
+    client = publishing.ClientVelocity(driving, MagicMock(), MagicMock(), coder)
+    # when messages arrive, whether this process stalled just before, and when the control counts as pressed
+    for arrived, stalled, pressed in (
+        (10, False, 10),
+        (11, False, 10),
+        (15, True, 10),
+        (16, False, 10),
+        (18, False, 18),
+    ):
+        stalls.hung.return_value = stalled
+        client.send(MagicMock(data=b"", arrived=float(arrived)))
+        assert driving.hold.call_args.args[-1] == float(pressed)
+    client.close()
+    assert stalls.stop.called
 
 
 @pytest.mark.parametrize("end", ["unadvertise", "leave", "cut", "the server stops"])

@@ -133,11 +133,7 @@ def test_one_page_drives_at_a_time(desk: Desk) -> None:
 
 
 @pytest.mark.usefixtures("patience")
-@pytest.mark.parametrize("released", [True, False])
-def test_a_hold_is_refused_while_a_person_drives_with_another_program(
-    desk: Desk, monkeypatch: pytest.MonkeyPatch, released: bool
-) -> None:
-    monkeypatch.setattr("bridge.web.verbs.hold.RELEASED_SECONDS", 60.0)
+def test_a_hold_is_refused_while_a_person_drives_with_another_program(desk: Desk) -> None:
     base, other = Base(desk), ManualControl(desk.far.hub, "/cmd_vel")
     with TestPage(desk.port) as page:
         other.begin("anna (foxglove)")
@@ -151,14 +147,28 @@ def test_a_hold_is_refused_while_a_person_drives_with_another_program(
         page.send(op="hold", x=0.1, y=0.0, turn=0.0)
         page.until(lambda: len(page.errors()) > 1 or base.drives(), "the control is still pressed")
         assert (page.errors()[1:], base.received) == (["release the control first"], [])
-        if released:
-            page.send(op="release")
-        else:
-            monkeypatch.setattr("bridge.web.verbs.hold.RELEASED_SECONDS", 0.0)  # it has been silent for long enough
+        page.send(op="release")
         hold(page, base)
         until(lambda: other.rival().endswith("(web) drives manually"), "the other program is refused meanwhile")
         page.send(op="release")
         until(lambda: not other.rival(), "control is free after the release")
+
+
+def test_a_refused_control_is_not_released_by_silence(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The page reports a release, so silence shows that its messages do not arrive, or that this process stalled."""
+    driving, loop, other = desk.console._hold, desk.console.host.loop, ManualControl(desk.far.hub, "/cmd_vel")
+    person, pressed = MagicMock(who="anna"), steady()
+    other.begin("bert (foxglove)")
+    graph = desk.console.host.node.hub.graph
+    until(lambda: graph.drivers("/cmd_vel"), "the console knows the driver")
+    for later, reason in ((0.0, "bert (foxglove) drives manually"), (60.0, "release the control first")):
+        clock = lambda seconds=later: steady() + seconds  # noqa: E731
+        monkeypatch.setattr("bridge.web.verbs.hold.steady", clock)
+        loop.call(lambda now=clock: driving.hold(person, 0.1, 0.0, 0.0, now(), pressed))
+        assert person.refuse.call_args.args == (reason,)
+        other.end()
+        until(lambda: not graph.drivers("/cmd_vel"), "the console knows that control is free")
+    assert not driving._control.held
 
 
 @pytest.mark.usefixtures("patience")

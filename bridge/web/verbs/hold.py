@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from threading import Event
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 from bridge.client.manual import ManualControl
 from bridge.client.velocity import STOP_SECONDS, VelocityPublisher
@@ -16,9 +16,6 @@ from bridge.modules.velocity import velocity_publisher
 
 HOLD_SECONDS = 0.3
 """A page's hold ends after this time without a message from the page."""
-
-RELEASED_SECONDS = 1.5
-"""A refused control counts as released after this time without a message. Foxglove's panel sends one a second."""
 
 _PERIOD = 0.05
 _ZERO = (0.0, 0.0, 0.0)
@@ -36,13 +33,6 @@ class HandDriver(Protocol):
 
     def refuse(self, why: str) -> None:
         """Report why the page may not drive."""
-
-
-class _Refusal(NamedTuple):
-    """When a refused control was pressed, and when its last message arrived."""
-
-    pressed: float
-    arrived: float
 
 
 class HandDriving:
@@ -77,7 +67,7 @@ class HandDriving:
         self.stopped.set()
         self._control = ManualControl(host.node.hub, topic)
         self._holder: HandDriver | None = None
-        self._refused: dict[HandDriver, _Refusal] = {}
+        self._refused: dict[HandDriver, float] = {}  # when their controls were pressed
         self._halted_at = -math.inf
         self._ended = False
         self._velocity: Velocity = _ZERO
@@ -99,10 +89,10 @@ class HandDriving:
         """
         if self._ended or steady() - arrived > HOLD_SECONDS:
             return
-        reason = self._refusal(page, arrived, pressed)
+        reason = self._refusal(page, pressed)
         if reason:
             self.release(page)
-            self._refused[page] = _Refusal(pressed, arrived)
+            self._refused[page] = pressed
             page.refuse(reason)
             return
         if self._holder is None:
@@ -118,7 +108,7 @@ class HandDriving:
         self._until = arrived + HOLD_SECONDS
         self._publish()
 
-    def _refusal(self, page: HandDriver, arrived: float, pressed: float) -> str:
+    def _refusal(self, page: HandDriver, pressed: float) -> str:
         """Return why a page may not drive; "" if it may. Once refused, a control drives only if it is pressed again."""
         holder = self._holder
         if pressed <= self._halted_at:
@@ -127,8 +117,7 @@ class HandDriving:
             return "no velocity topic is configured (navigation.velocity)"
         if holder is not None and holder is not page:
             return f"{holder.who} drives manually"
-        refused = self._refused.get(page)
-        held = refused is not None and pressed <= refused.pressed and arrived - refused.arrived < RELEASED_SECONDS
+        held = pressed <= self._refused.get(page, -math.inf)
         return self._others() or ("release the control first" if held else "")
 
     def release(self, page: HandDriver) -> None:
