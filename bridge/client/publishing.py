@@ -12,6 +12,7 @@ from bridge.client.types import Types
 from bridge.hub.endpoints.publisher import HubPublisher
 from bridge.hub.wire.qos import Qos
 from bridge.messages.errors import ConversionError
+from bridge.routing.limits import Priority
 from bridge.routing.rules import RuleSet
 
 MATCH_SECONDS = 2.0
@@ -19,9 +20,10 @@ _POLL_SECONDS = 0.02
 
 
 class Publisher:
-    """Publishes on one topic. ``type_name`` is in ROS 1's or ROS 2's spelling; raises `ClientError` if it is unknown.
+    """Publishes on one topic. ``type_name`` is in ROS 1's or ROS 2's spelling.
 
-    ``priority`` defaults to `RuleSet.native_class`: messages that a rule makes commands are commands here, too.
+    Raises `ClientError` if the type is unknown, and for commands with a latching ``qos``: late joiners would receive an
+    old command. ``priority`` defaults to `RuleSet.native_class`: messages that a rule makes commands are commands here, too.
 
     Attributes:
         kind: name of the topic, its type and the type's hash.
@@ -35,6 +37,10 @@ class Publisher:
         self.kind = topic, type_name, types.hash_of(type_name)
         if not priority:
             priority = RuleSet(client.config.rules).native_class(topic, type_name, latched=qos.latched).value
+        if qos.latched and priority == Priority.COMMAND.value:
+            raise ClientError(
+                f"the messages on {topic} are commands, which are never latched; publish them without --latch (volatile)"
+            )
         self.end = client.hub.publisher(*self.kind, qos, priority=priority)
 
     def publish(self, message: Mapping[str, Any]) -> None:
