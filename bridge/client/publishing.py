@@ -22,8 +22,8 @@ _POLL_SECONDS = 0.02
 class Publisher:
     """Publishes on one topic. ``type_name`` is in ROS 1's or ROS 2's spelling.
 
-    Raises `ClientError` if the type is unknown, and for commands with a latching ``qos``: late joiners would receive an
-    old command. ``priority`` defaults to `RuleSet.native_class`: messages that a rule makes commands are commands here, too.
+    ``priority`` defaults to `RuleSet.native_class`: messages that a rule makes commands are commands here, too. Raises
+    `ClientError` if the type is unknown, and for commands with a latching ``qos``: late joiners would receive old ones.
 
     Attributes:
         kind: name of the topic, its type and the type's hash.
@@ -39,7 +39,7 @@ class Publisher:
             priority = RuleSet(client.config.rules).native_class(topic, type_name, latched=qos.latched).value
         if qos.latched and priority == Priority.COMMAND.value:
             raise ClientError(
-                f"the messages on {topic} are commands, which are never latched; publish them without --latch (volatile)"
+                f"the messages on {topic} are commands, which are never latched: leave out --latch, or use volatile QoS"
             )
         self.end = client.hub.publisher(*self.kind, qos, priority=priority)
 
