@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 import time
 from collections.abc import Collection, Mapping, Sequence
@@ -18,7 +19,7 @@ from bridge.daemon.lock import Lock
 from bridge.daemon.log_query import LOG, RecentLines
 from bridge.daemon.notify import Notifier
 from bridge.daemon.query import RELOAD, STATUS, Phase, QueryServer
-from bridge.daemon.readiness import Readiness
+from bridge.daemon.readiness import STATUS_INTERVAL, Readiness
 from bridge.daemon.worker_process import WorkerProcess
 from bridge.daemon.worker_run import Timing
 from bridge.daemon.workers import worker_kinds
@@ -30,9 +31,10 @@ from yarp_compat.selector_loop import SelectorLoop
 
 logger = logging.getLogger("midspan.daemon")
 
-STEP = 0.25
-SUSPENDED_AFTER = 1.0
-"""A longer step means that this process or the machine was suspended; workers are not penalized for that time."""
+SUSPENDED_AFTER = 0.75
+"""A step that ends later than planned by this time, in seconds, means that this process or the machine was suspended;
+workers are not penalized for that time."""
+
 STOP_SECONDS = 4.8
 AGAIN_SECONDS = 0.5
 """Requests to stop within this time count as one: ``timeout`` and ``make`` signal the daemon and its process group."""
@@ -202,13 +204,14 @@ class Supervisor:
 
     def _step(self) -> None:
         interval = self._notify.watchdog_interval
-        self.loop.step(min(STEP, interval / 2 if interval else STEP))
+        pause = min(STATUS_INTERVAL, interval / 2 if interval else math.inf, *(worker.pause for worker in self.workers))
+        self.loop.step(pause)
         now = time.monotonic()
-        step = now - self._stepped
+        late = now - self._stepped - pause
         self._stepped = now
         for worker in self.workers:
-            if step > SUSPENDED_AFTER:
-                worker.forgive(step)
+            if late > SUSPENDED_AFTER:
+                worker.forgive(late)
             worker.tick()
         self._readiness.step(now, lambda: all(worker.settled for worker in self.workers))
 

@@ -21,6 +21,7 @@ from typing_extensions import override
 from bridge import state_file
 from bridge.config.model import Config
 from bridge.daemon import local_socket, log, processes, protocol, streams
+from bridge.daemon.exit_watch import ExitWatch
 from bridge.daemon.lock import Lock
 from bridge.daemon.workers import WorkerKind, supervised_command
 from yarp_compat.selector_loop import SelectorLoop
@@ -75,9 +76,14 @@ class WorkerChannel(ABC):
         self._listener = listener
         self._commands: streams.Writer
 
+    @property
+    @abstractmethod
+    def needs_polls(self) -> bool:
+        """Whether `poll` has to be called often; otherwise the loop reports the exit of the process."""
+
     @abstractmethod
     def poll(self) -> None:
-        """Check for the exit of the process; called often."""
+        """Check for the exit of the process."""
 
     def stop(self) -> None:
         self.send(protocol.Stop())
@@ -157,6 +163,7 @@ class PipeChannel(WorkerChannel):
             streams.reader(loop, self._process.stdout, self._on_reports),
             streams.reader(loop, self._process.stderr, self._on_log),
         )
+        self._exit = ExitWatch(loop, self.pid, self.poll)
 
     def _on_reports(self, data: bytes) -> None:
         for line in self._reports.feed(data):
@@ -164,6 +171,11 @@ class PipeChannel(WorkerChannel):
 
     def _on_log(self, data: bytes) -> None:
         self._log_lines(self._log.feed(data) if data else self._log.end())
+
+    @property
+    @override
+    def needs_polls(self) -> bool:
+        return not self._exit.active
 
     @override
     def poll(self) -> None:
@@ -185,6 +197,7 @@ class PipeChannel(WorkerChannel):
 
     @override
     def detach(self) -> None:
+        self._exit.close()
         for stream in (self._commands, *self._readers):
             stream.close()
 
@@ -202,6 +215,7 @@ class SocketChannel(WorkerChannel):
         self._path = state_file.control_socket(config, kind.name)
         self._output = state_file.worker_output(config, kind.name)
         self._process: subprocess.Popen[bytes] | None = None
+        self._exit: ExitWatch | None = None
         self._start_reports: streams.Reader | None = None
         self._socket: socket.socket | None = None
         self._lines = protocol.Lines()
@@ -236,6 +250,7 @@ class SocketChannel(WorkerChannel):
         self.pid, self.started_here = self._process.pid, True
         assert self._process.stdout is not None
         self._start_reports = streams.reader(self._loop, self._process.stdout, self._on_start)
+        self._exit = ExitWatch(self._loop, self.pid, self.poll)
 
     def _open_output(self) -> IO[bytes]:
         """Open the file for the worker's stderr, or /dev/null if the state folder is not writable."""
@@ -276,6 +291,11 @@ class SocketChannel(WorkerChannel):
             self.pid, self.owner = report.pid, report.owner
         super()._on_report(report)
 
+    @property
+    @override
+    def needs_polls(self) -> bool:
+        return self._socket is None or (self._exit is not None and not self._exit.active)
+
     @override
     def poll(self) -> None:
         """Check for the exit of the process; connect if not connected yet."""
@@ -314,6 +334,8 @@ class SocketChannel(WorkerChannel):
     @override
     def detach(self) -> None:
         """Close the connection; the worker continues."""
+        if self._exit is not None:
+            self._exit.close()
         self._close_start()
         self._disconnect()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 from collections.abc import Callable
 
@@ -18,6 +19,9 @@ from bridge.worker import Health
 from yarp_compat.selector_loop import SelectorLoop, Timer
 
 logger = logging.getLogger("midspan.daemon")
+
+STEP = 0.25
+"""Seconds between checks of a process that starts or stops, that is late, or whose exit the system does not report."""
 
 
 class WorkerProcess:
@@ -245,8 +249,17 @@ class WorkerProcess:
 
     # -- time ----------------------------------------------------------------------------------------------------------
 
+    @property
+    def pause(self) -> float:
+        """Seconds after which `tick` has to be called again, if the loop reports nothing until then."""
+        if self.channel is None and self.phase is not Phase.QUEUED:
+            return math.inf
+        if self.channel is None or self.phase is not Phase.UP or self.channel.needs_polls:
+            return STEP
+        return max(STEP, self._limit - self._run.still)
+
     def tick(self) -> None:
-        """Check the process; called several times a second."""
+        """Check the process; see `pause`."""
         if self.channel is not None:
             self.channel.poll()
         if self.phase is Phase.QUEUED:

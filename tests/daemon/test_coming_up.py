@@ -73,7 +73,7 @@ def test_a_worker_that_computes_instead_of_reporting_is_not_killed(daemon: Daemo
 class _Unconnected:
     """A channel without a process."""
 
-    pid, owner = 0, "daemon"
+    pid, owner, needs_polls = 0, "daemon", False
 
     def poll(self) -> None:
         pass

@@ -65,7 +65,7 @@ def test_each_state_is_reached() -> None:
 class _Channel:
     """A stand-in for the channel to a process; it only records commands and kills."""
 
-    pid, owner, started_here = 7, "daemon", True
+    pid, owner, started_here, needs_polls = 7, "daemon", True, False
 
     def __init__(self) -> None:
         self.sent: list[protocol.Command] = []
