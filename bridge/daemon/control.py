@@ -15,7 +15,7 @@ from pathlib import Path
 from bridge.config.received import ReceivedConfig
 from bridge.daemon import protocol
 from bridge.daemon.heartbeat import start_heartbeat
-from bridge.daemon.local_socket import LocalListener, receive
+from bridge.daemon.local_socket import LocalListener, receive, wait_readable
 from bridge.progress import working
 
 logger = logging.getLogger("midspan.worker")
@@ -146,10 +146,10 @@ class ControlServer:
         return True
 
     def _drop(self) -> None:
+        """Disconnect; the thread that reads the socket then closes it, so that no other file gets its number before."""
         if self._client is not None:
             with contextlib.suppress(OSError):
                 self._client.shutdown(socket.SHUT_RDWR)
-            self._client.close()
             self._client = None
 
     def _accept(self) -> None:
@@ -165,7 +165,7 @@ class ControlServer:
             client.settimeout(_SEND_SECONDS)
             self._greetings.acquire()  # each is released within _SEND_SECONDS
             serving = threading.Thread(
-                target=self._serve, args=(client, next(numbers)), name="control-client", daemon=True
+                target=self._run, args=(client, next(numbers)), name="control-client", daemon=True
             )
             try:
                 serving.start()
@@ -173,6 +173,10 @@ class ControlServer:
                 logger.warning("the daemon cannot connect: %s; trying again", err)
                 self._greetings.release()
                 client.close()
+
+    def _run(self, client: socket.socket, number: int) -> None:
+        with client:
+            self._serve(client, number)
 
     def _serve(self, client: socket.socket, number: int) -> None:
         try:
@@ -183,7 +187,6 @@ class ControlServer:
             self._greetings.release()
         with self._lock:
             if not admitted or self._closing.is_set() or number < self._client_number:  # a later client was first
-                client.close()
                 return
             self._drop()
             self._client, self._client_number = client, number
@@ -199,11 +202,12 @@ class ControlServer:
         lines = protocol.Lines()
         while True:
             try:
+                wait_readable(client)
                 data = client.recv(_READ_SIZE)
             except TimeoutError:
                 continue
             except OSError:
-                return
+                data = b""
             if not data:
                 break
             for line in lines.feed(data):

@@ -16,6 +16,7 @@ import hmac
 import json
 import os
 import secrets
+import select
 import socket
 import time
 from pathlib import Path
@@ -120,6 +121,19 @@ def receive(client: socket.socket, size: int) -> bytes:
     finally:
         client.settimeout(seconds)
     return data
+
+
+def wait_readable(sock: socket.socket) -> None:
+    """Wait, whatever the socket's timeout is, until a read would not block; a shutdown on any thread ends the wait.
+
+    The socket must not be closed meanwhile.
+    """
+    if hasattr(select, "poll"):  # unlike select, it accepts any descriptor
+        poll = select.poll()
+        poll.register(sock, select.POLLIN)
+        poll.poll()
+    else:
+        select.select([sock], [], [])
 
 
 def connect(path: Path, seconds: float) -> socket.socket:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import select
 import socket
 import threading
 from collections.abc import Iterator
@@ -47,6 +48,28 @@ def test_hello_comes_before_all_other_reports(tmp_path: Path) -> None:
         closing.set()
         beating.join()
         server.close()
+
+
+def test_waiting_for_commands_needs_no_wake_ups(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The limit for sending does not make the thread that receives wake up again and again at rest."""
+    receive, early, commands = socket.socket.recv, list[str](), list[protocol.Command]()
+
+    def receive_what_has_arrived(sock: socket.socket, size: int, flags: int = 0) -> bytes:
+        if threading.current_thread().name == "control-client" and not select.select([sock], [], [], 0)[0]:
+            early.append("recv")
+        return receive(sock, size, flags)
+
+    monkeypatch.setattr(socket.socket, "recv", receive_what_has_arrived, raising=False)
+    server = ControlServer(tmp_path / "socket", "daemon", commands.append)
+    with contextlib.closing(server), socket.socket(socket.AF_UNIX) as daemon:
+        daemon.settimeout(20)
+        daemon.connect(str(tmp_path / "socket"))
+        assert b"hello" in daemon.recv(4096)
+        for count in range(1, 4):
+            daemon.sendall(protocol.encode_command(protocol.Stop()))
+            until(lambda count=count: len(commands) == count, "the command has arrived")  # type: ignore[misc]
+    until(lambda: all(t.name != "control-client" for t in threading.enumerate()), "the thread ends with its connection")
+    assert not early
 
 
 def test_a_daemon_can_connect_after_a_lack_of_descriptors(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
