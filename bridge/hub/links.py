@@ -72,7 +72,9 @@ firewall or a lack of file descriptors, may be over."""
 _COMPARE_SECONDS = 5.0
 """Seconds between comparisons with the router's peers; a peer without a link in two successive comparisons is lost."""
 
-_POLL_SECONDS = 0.4
+_SETTLE_SECONDS = 0.4
+"""Seconds after a change of the graph until the link events are read, so that they have arrived by then."""
+
 _MOST_EVENTS = 1000
 """Maximum number of unread link events."""
 
@@ -104,18 +106,28 @@ class Mesh:
         self._unreachable: dict[str, float] = {}  # the sessions given up, and when to search for each again
         self._compare_at = time.monotonic() + _COMPARE_SECONDS
         self._router_lost_at = float("-inf")
-        self._closed = Event()
+        self._wake, self._closed = Event(), Event()
         self.mended = self.ended = 0
-        # not a callback, which would block zenoh's thread that opens and closes links on the GIL
+        # Not a callback: on zenoh's thread, it would block the opening and closing of links on the GIL; on a separate
+        # thread, it would keep a program that does not close its session from exiting.
         channel: Any = zenoh.handlers.RingChannel(_MOST_EVENTS)
         self._listener: Any = session.info.declare_transport_events_listener(channel)
         self._events: Any = self._listener.handler
         self._thread = Thread(target=self._run, name="hub-mesh", daemon=True)
         self._thread.start()
 
+    def wake(self) -> None:
+        """Read the link events soon. Call this after each change of the graph, on any thread.
+
+        The end of a link takes the tokens of the session at its other end with it. Zenoh's own wait for link events
+        polls ten times a second.
+        """
+        self._wake.set()
+
     def close(self) -> None:
         """Stop watching. Safe to call twice."""
         self._closed.set()
+        self._wake.set()
         with contextlib.suppress(zenoh.ZError):  # the session is closed already
             self._listener.undeclare()
         self._thread.join(2 * _INTRODUCTION_SECONDS)
@@ -126,7 +138,10 @@ class Mesh:
         return frozenset(self._lost)
 
     def _run(self) -> None:
-        while not self._closed.wait(_POLL_SECONDS):  # zenoh's own wait for events polls ten times a second
+        while not self._closed.is_set():
+            if self._wake.wait(max(0.0, self._compare_at - time.monotonic())):
+                self._wake.clear()
+                self._closed.wait(_SETTLE_SECONDS)
             self._attempt(self._handle_events, self._compare)
             self._search()
 

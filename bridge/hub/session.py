@@ -9,9 +9,10 @@ import logging
 import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from threading import RLock
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import zenoh
 
@@ -134,8 +135,10 @@ class HubSession:
             self.lane = Lane(Path(settings.lane), self.zid, session, settings.domain, self.graph.renew)
             self.graph.watch(self.lane.graph_changed)
         self.mesh = Mesh(
-            session, lambda: without_shared_memory(_config(settings)), self._members, self._peers, self._rejoin
-        )
+            session, lambda: without_shared_memory(_config(settings)), partial(self._at_routers, "members"),
+            partial(self._at_routers, "peers"), self._rejoin,
+        )  # fmt: skip
+        self.graph.watch(self.mesh.wake)
         # a process that exits with an open session hangs in zenoh's threads
         atexit.register(self.close)
 
@@ -182,19 +185,12 @@ class HubSession:
         self.graph.close()
         self.zenoh.close()  # type: ignore[no-untyped-call]
 
-    def _members(self) -> set[str] | None:
-        """Return the sessions that are linked to this session's routers, None if no router answers."""
-        return self._at_routers("members")
-
-    def _peers(self) -> set[str] | None:
-        """Return which of the sessions of `_members` are peers."""
-        return self._at_routers("peers")
-
     def _rejoin(self, zids: Collection[str]) -> None:
         """Have sessions join their router again."""
         self.ask(REJOIN, {"sessions": sorted(zids)}, "*", "router", 1.0)
 
-    def _at_routers(self, kind: str) -> set[str] | None:
+    def _at_routers(self, kind: Literal["members", "peers"]) -> set[str] | None:
+        """Return all sessions that are linked to this session's routers, or only the peers; None: no router answers."""
         routers = {str(zid) for zid in self.zenoh.info.routers_zid()}
         answers = self.ask(MEMBERS, {}, "*", "router", 1.0) if routers else []
         values = [a.value for a in answers if isinstance(a.value, dict) and a.value.get("zid") in routers]

@@ -12,6 +12,7 @@ from typing import Any
 import psutil
 import pytest
 import zenoh
+from typing_extensions import override
 
 from bridge.hub import links
 from bridge.hub.errors import HubConfigError
@@ -51,6 +52,26 @@ def test_single_lost_link_is_restored(hubs: QuickHub) -> None:
         )
         until(lambda: first.mesh.mended + second.mesh.mended, "one session reports the restored link")
         until(lambda: first.ask("say", {"word": "again"}, worker="two") and received, "messages arrive")
+
+
+def test_lost_link_is_noticed_without_polling(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The graph reports it: the tokens of the other session end with the link. Polling would cost an idle process."""
+    pauses = list[float | None]()
+
+    class Wake(threading.Event):
+        @override
+        def wait(self, timeout: float | None = None) -> bool:
+            pauses.append(timeout)
+            return super().wait(timeout)
+
+    monkeypatch.setattr(links, "_COMPARE_SECONDS", 1000.0)
+    monkeypatch.setattr(links, "Event", Wake)
+    with Hub.open(hubs.settings("one")) as first, Hub.open(hubs.settings("two", "two")) as second:
+        until(lambda: second.zid in first.neighbors() and first.zid in second.neighbors(), "the sessions are linked")
+        until(lambda: pauses and (pauses[-1] or 0.0) > 900.0, "the sessions sleep")
+        cut(int(hubs.endpoint.rpartition(":")[2]))
+        until(lambda: first.mesh.mended + second.mesh.mended, "one session has restored the link")
+        until(lambda: second.zid in first.neighbors(), "the sessions are linked again")
 
 
 def test_link_in_another_domain_than_the_routers_is_restored() -> None:
