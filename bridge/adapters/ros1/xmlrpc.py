@@ -106,7 +106,7 @@ class XmlRpcServer:
         self._listener = _listen(address, port)
         self.port: int = self._listener.getsockname()[1]
         self._loop = ThreadedLoop(name, self._close_sockets, _log)
-        self._accepting = self._scarce = False
+        self._accepting = self._scarce = self._check_due = False
         self._connections: set[_Connection] = set()
         self._buffered = 0
         self._pool = WorkerPool(limits.threads, f"{name}-call")
@@ -130,11 +130,18 @@ class XmlRpcServer:
     # -- the thread of the connections ---------------------------------------------------------------------------------
 
     def _check(self) -> None:
+        self._check_due = False
         now = time.monotonic()
         for connection in [c for c in self._connections if c.deadline <= now]:
             self._close(connection)
         self._accept(enabled=not self._stopping)
-        self._loop.call_later(_TICK, self._check)
+        if self._connections or not self._accepting:
+            self._check_later()
+
+    def _check_later(self) -> None:
+        if not self._check_due:
+            self._check_due = True
+            self._loop.call_later(_TICK, self._check)
 
     def _close_sockets(self) -> None:
         for connection in list(self._connections):
@@ -149,6 +156,7 @@ class XmlRpcServer:
                 self._accepting = enabled
 
     def _accept_clients(self) -> None:
+        self._check_later()
         while len(self._connections) < self._limits.connections or self._close_idle():
             try:
                 sock, _ = self._listener.accept()

@@ -336,6 +336,19 @@ def test_beyond_the_limit_the_longest_idle_connection_is_closed(served: Served):
         assert served.server.connections <= LIMITS.connections
 
 
+def test_server_without_connections_does_not_wake_up(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(xmlrpc_server, "_TICK", 0.5)
+    served = Served()
+    try:
+        for _ in range(2):
+            assert decode_response(served.post(ADD)) == 3
+            until(lambda: served.server._loop._timers, "the connections are checked")
+            until(lambda: served.server.connections == 0, "the connection is closed")
+            until(lambda: not served.server._loop._timers, "the checks end")
+    finally:
+        served.server.close()
+
+
 def test_clients_are_accepted_once_select_can_watch_the_listener(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(selectors, "DefaultSelector", selectors.SelectSelector)
     monkeypatch.setattr(xmlrpc_server, "_TICK", 0.01)
