@@ -7,7 +7,6 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 from yarp_compat.overriding import override
@@ -31,7 +30,6 @@ from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.reply import ReplyEnd
 
 _log = logging.getLogger("yarp.ports")
-_CHECK_PERIOD = 0.5  # seconds between checks of idle outputs
 _KEPT_FOR = 5.0  # seconds for which an input keeps the memory of a large message for the next one
 
 
@@ -98,7 +96,7 @@ class PortCore(ConnectingPort):
             self._loop = shared = loop.acquire()
             self.connections.open()
             self._listener = listener = Listener(shared, sock, self._on_introduced, self._on_refused)
-            shared.call_soon(partial(self._check_outputs, shared, listener))
+            shared.add_check(self._check_connections)
             note_open(self)
         try:
             listener.start()
@@ -124,6 +122,7 @@ class PortCore(ConnectingPort):
     def _end(self, shared: loop.PortLoop, listener: Listener) -> None:
         self.interrupt()
         note_closed(self)
+        shared.remove_check(self._check_connections)
         listener.close()
         self._end_connections()
         try:
@@ -259,14 +258,12 @@ class PortCore(ConnectingPort):
         """The number of messages that the port's outputs dropped, by reason; closed outputs included."""
         return self.connections.lost
 
-    def _check_outputs(self, shared: loop.PortLoop, listener: Listener) -> None:
-        """Check idle outputs, and free unused memory of inputs; periodically, until the listener is closed."""
-        if self._listener is listener:
-            for output in self.connections.outputs:
-                output.check()
-            for connection in self.connections.inputs:
-                connection.stream.free_unused(_KEPT_FOR)
-            shared.call_later(_CHECK_PERIOD, partial(self._check_outputs, shared, listener))
+    def _check_connections(self) -> None:
+        """Check idle outputs, and free unused memory of inputs."""
+        for output in self.connections.outputs:
+            output.check()
+        for connection in self.connections.inputs:
+            connection.stream.free_unused(_KEPT_FOR)
 
     def _on_refused(self, peer: str, error: WireError) -> None:
         self.counters.dropped["malformed"] += 1

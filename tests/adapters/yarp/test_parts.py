@@ -20,7 +20,7 @@ from bridge.daemon.workers import worker_kinds
 from bridge.hub.endpoints.calls import CallError
 from tests.support.no_threads import no_threads
 from tests.support.wait import until
-from yarp_compat.ports import port
+from yarp_compat.ports import loop
 from yarp_compat.ports.naming import LocalNaming
 from yarp_compat.ports.port import PortCore
 from yarp_compat.wire.binary import encode
@@ -102,7 +102,7 @@ def test_ports_can_be_called_after_a_lack_of_threads() -> None:
 def test_call_reaches_a_server_that_was_restarted_since_the_last_check_of_the_connection(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(port, "_CHECK_PERIOD", 1000.0)
+    monkeypatch.setattr(loop, "_CHECK_PERIOD", 1000.0)
     naming: Any = LocalNaming()
     bottles: Any = SimpleNamespace(request_to_yarp=lambda request, _: request, reply_to_hub=lambda reply, _: reply)
     caller, results = PortCaller(naming, "/robot/rpc", "", bottles, 1000), list[bytes | CallError]()

@@ -12,7 +12,7 @@ import pytest
 
 from tests.support.wait import until
 from tests.yarp_compat.ports.conftest import MakePort
-from yarp_compat.ports import connecting, port
+from yarp_compat.ports import connecting, loop, port
 from yarp_compat.ports.connections import AnyOutput
 from yarp_compat.ports.datagrams import DatagramOutput
 from yarp_compat.ports.naming import LocalNaming
@@ -120,7 +120,7 @@ def test_peer_that_has_acknowledged_is_not_busy(
     make_port: MakePort, slow: Slow, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The acknowledgment is read on demand, not only by the periodic check, because commands skip busy peers."""
-    monkeypatch.setattr(port, "_CHECK_PERIOD", 1000.0)
+    monkeypatch.setattr(loop, "_CHECK_PERIOD", 1000.0)
     writer = make_port("/w")
     writer.add_output("tcp://slow")
     (output,) = writer.connections.outputs
@@ -135,7 +135,7 @@ def test_peer_that_has_acknowledged_is_not_busy(
 
 def test_peer_is_not_busy_during_the_periodic_check(make_port: MakePort, monkeypatch: pytest.MonkeyPatch) -> None:
     """A command written while the connection is checked reaches the reader."""
-    monkeypatch.setattr(port, "_CHECK_PERIOD", 1000.0)
+    monkeypatch.setattr(loop, "_CHECK_PERIOD", 1000.0)
     got: list[bytes] = []
     make_port("/r", lambda m: got.append(bytes(m.payload)))
     writer = make_port("/w")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from typing import Any
 
 import pytest
 
@@ -11,7 +10,6 @@ from tests.support.wait import until
 from tests.yarp_compat.ports.conftest import MakePort
 from tests.yarp_compat.ports.test_port import HELLO
 from yarp_compat.ports import loop
-from yarp_compat.ports import port as port_module
 from yarp_compat.ports.message import PortMessage
 from yarp_compat.ports.naming import LocalNaming
 from yarp_compat.ports.port import PortCore
@@ -150,14 +148,14 @@ def test_connection_closed_while_its_queue_becomes_empty_sends_a_farewell(
 def test_port_that_is_opened_again_is_not_checked_more_often(
     make_port: MakePort, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    check, checked = PortCore._check_outputs, list[str]()
+    check, checked = PortCore._check_connections, list[str]()
 
-    def count(port: PortCore, *arguments: Any) -> None:
+    def count(port: PortCore) -> None:
         checked.append(port.name)
-        check(port, *arguments)
+        check(port)
 
-    monkeypatch.setattr(port_module, "_CHECK_PERIOD", 0.05)
-    monkeypatch.setattr(PortCore, "_check_outputs", count)
+    monkeypatch.setattr(loop, "_CHECK_PERIOD", 0.05)
+    monkeypatch.setattr(PortCore, "_check_connections", count)
     make_port("/another")  # keeps the shared thread
     port = make_port("/r")
     for _ in range(10):
@@ -167,3 +165,25 @@ def test_port_that_is_opened_again_is_not_checked_more_often(
         checked.clear()
         until(lambda: checked.count("/another") >= 5, "the other port is checked")
     assert 0 < checked.count("/r") <= 2 * checked.count("/another")
+
+
+def test_the_checks_of_all_ports_wake_the_shared_thread_only_once(
+    make_port: MakePort, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Otherwise a worker with many ports would wake up several times for each of them at rest."""
+    step, steps, checked = loop.PortLoop.step, list[None](), list[None]()
+
+    def count(port_loop: loop.PortLoop, seconds: float | None = None) -> None:
+        steps.append(None)
+        step(port_loop, seconds)
+
+    monkeypatch.setattr(loop, "_CHECK_PERIOD", 0.05)
+    monkeypatch.setattr(PortCore, "_check_connections", lambda _: checked.append(None))
+    for number in range(10):
+        make_port(f"/p{number}")
+    monkeypatch.setattr(loop.PortLoop, "step", count)
+    until(lambda: steps, "the shared thread has woken up after the last port was opened")
+    steps.clear()
+    checked.clear()
+    until(lambda: len(checked) >= 100, "the ports are checked")
+    assert len(steps) < 30
