@@ -12,6 +12,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import NamedTuple
 
+from bridge.ticks import until_tick
+
 SHARE = 0.01
 """Share of a core. A step that uses less than this makes no progress. A wait that polls every 10 ms uses 0.3 %; a
 computation gets more than this even if it shares its core with fifty others."""
@@ -157,6 +159,12 @@ class Progress:
             yield
         finally:
             self._waited = (self._waited[0] + clock.seconds(), None)
+
+    @property
+    def pause(self) -> float:
+        """Seconds until the next call of `now`, if each step that lasts for twice `BUSY_SECONDS` must be reported."""
+        # half a tick after the main thread's heartbeat, so that this short step does not count as one
+        return BUSY_SECONDS if self._text else until_tick(2 * BUSY_SECONDS, BUSY_SECONDS)
 
     def now(self) -> Busy | None:
         """Return the current step; None if the thread is idle, or the step is shorter than `BUSY_SECONDS`."""

@@ -15,7 +15,7 @@ from bridge.sides import Side, all_sides
 
 ROOT = Path(__file__).parents[1]
 TOOLS = {"clock", "concurrency", "descriptors", "progress", "registration", "resources", "shipped", "sides"}
-TOOLS |= {"module_keys", "state_file", "state_machine", "status", "text", "worker"}
+TOOLS |= {"module_keys", "state_file", "state_machine", "status", "text", "ticks", "worker"}
 """Single modules next to the parts, which import only ``config`` and each other from ``bridge``."""
 
 BELOW = {

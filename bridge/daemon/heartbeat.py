@@ -15,7 +15,7 @@ import sys
 import threading
 from collections.abc import Callable
 
-from bridge.progress import BUSY_SECONDS, Busy, working
+from bridge.progress import Busy, working
 
 DUMP_STACKS: signal.Signals | None = getattr(signal, "SIGUSR1", None)
 
@@ -72,7 +72,7 @@ class Heartbeat:
         self._thread.join(_CLOSE_SECONDS)
 
     def _run(self) -> None:
-        while not self._over.wait(BUSY_SECONDS):
+        while not self._over.wait(working.pause):
             busy = working.now()
             if busy is not None:
                 self._send(busy)

@@ -33,6 +33,7 @@ from bridge.hub.panics import failure
 from bridge.hub.security.zenoh_log import ZenohLog
 from bridge.progress import working
 from bridge.resources import LARGE_MESSAGES, raise_open_files
+from bridge.ticks import until_tick
 from bridge.worker import Health, Worker, WorkerFailedError
 
 logger = logging.getLogger("midspan.worker")
@@ -149,7 +150,7 @@ class WorkerLoop:
         self._report(protocol.Beat(self._beats, health))
         before, self._last_health = self._last_health, health
         quiet = health == before and health.state == "running"
-        return protocol.QUIET_INTERVAL if quiet else protocol.BEAT_INTERVAL
+        return until_tick(protocol.QUIET_INTERVAL) if quiet else protocol.BEAT_INTERVAL
 
     def _check_descriptors(self) -> None:
         """Log when a shortage begins and ends, because a router without free descriptors cannot respond to queries."""

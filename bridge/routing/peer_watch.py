@@ -17,6 +17,7 @@ from bridge.routing.edge import Edge
 from bridge.routing.election import FOREIGN, PERIOD, Election, HubView, Outcome, join
 from bridge.routing.processes import has_ended, process_name
 from bridge.routing.shortcut import Deadline
+from bridge.ticks import until_tick
 
 
 class Lease(Deadline):
@@ -56,7 +57,7 @@ an active worker is no longer active, and no worker may count the records that i
 ALONE = 1.5
 """Like `FENCE`, if no other worker is on the network; a worker that joins meanwhile waits longer than this."""
 
-_ALONE_PERIOD = 0.4
+_ALONE_PERIOD = 0.5
 """Seconds between rounds if no other worker is known; the first worker that joins wakes the thread at once."""
 
 _ROUND_SECONDS = 3.0
@@ -168,7 +169,7 @@ class PeerWatch:
                 _log.exception("%s: following the other workers failed", self._edge.side)
             outcome = self._election.outcome
             alone = outcome.active and len(outcome.members) == 1
-            if self._wake.wait(_ALONE_PERIOD if alone else PERIOD):
+            if self._wake.wait(until_tick(_ALONE_PERIOD) if alone else PERIOD):
                 self._wake.clear()
                 self._stopping.wait(_PAUSE)
 

@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable
 
 from bridge.clock import steady, steady_ns
+from bridge.ticks import until_tick
 
 _log = logging.getLogger(__name__)
 
@@ -60,7 +61,7 @@ class StallDetector:
 
     def _run(self) -> None:
         while not self._stopping:
-            if self._wake.wait(self.pause):
+            if self._wake.wait(until_tick(self.pause)):
                 self._wake.clear()
             else:
                 try:

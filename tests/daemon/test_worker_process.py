@@ -411,6 +411,7 @@ class Reporting(Worker):
 
 def test_heartbeats_are_rarer_if_the_text_does_not_change(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(protocol, "QUIET_INTERVAL", 4.0)
+    monkeypatch.setattr(worker_main, "until_tick", lambda period: period)
     commands, at = Commands(), list[float]()
     texts = ["one", "two", "two", "three"]
 
