@@ -244,6 +244,7 @@ class NetworkBridge:
         engine = self._running()
         computes = engine.alive() or self._relay.alive()
         opening.check_pool()
+        engine.measure_rates()
         summary = engine.summary()
         self._diagnostics.publish()
         text = summary.text or engine.edge.away or f"waiting for {engine.edge.awaited}"

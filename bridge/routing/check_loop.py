@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable
 
 from bridge.progress import StepWatch
+from bridge.ticks import until_tick
 
 _log = logging.getLogger(__name__)
 
@@ -27,19 +29,20 @@ _STEP_SECONDS = 3.0
 
 
 class CheckLoop:
-    """Runs ``check`` when woken and at least every minute, and ``tick`` each second, on a separate thread.
+    """Runs ``check`` when woken and at least every minute, and any ``tick`` each second, on a separate thread.
 
     ``check`` returns whether to repeat it soon, because refused routes may work by then. If either fails, the thread
     calls ``failed`` and ends. Any thread may call `wake`.
     """
 
     def __init__(
-        self, side: str, check: Callable[[], bool], tick: Callable[[], None], failed: Callable[[str], None]
-    ) -> None:
+        self, side: str, check: Callable[[], bool], failed: Callable[[str], None],
+        tick: Callable[[], None] | None = None,
+    ) -> None:  # fmt: skip
         self._side = side
-        self._check, self._tick, self._failed = check, tick, failed
+        self._check, self._failed, self._tick = check, failed, tick
         self._wake, self._stopping = threading.Event(), threading.Event()
-        self._beat = time.monotonic()
+        self._began: float | None = None  # None while the thread waits
         self._step = StepWatch(_STEP_SECONDS)
         self._thread = threading.Thread(target=self._run, name=f"midspan-{side}-engine", daemon=True)
 
@@ -60,28 +63,28 @@ class CheckLoop:
 
     def alive(self) -> str:
         """Return a text if a check takes long, else ""; raises `TimeoutError` if it hangs."""
-        return self._step.judge(f"the {self._side} engine's loop", self._beat)
+        return self._step.judge(f"the {self._side} engine's loop", self._began)
 
     def _run(self) -> None:
         self._step.begin()
-        tick = check = 0.0
+        check, tick = 0.0, math.inf if self._tick is None else 0.0
         while not self._stopping.is_set():
             woken = self._wake.wait(max(0.0, min(tick, check) - time.monotonic()))
             if self._stopping.is_set():
                 return
-            now = time.monotonic()
+            now = self._began = time.monotonic()
             try:
                 if woken or now >= check:
                     check = now + self._check_now()
                     self._stopping.wait(_SETTLE)
-                if now >= tick:
-                    tick = now + TICK
+                if self._tick is not None and now >= tick:
+                    tick = now + until_tick(TICK)
                     self._tick()
             except Exception as err:
                 _log.exception("%s: following the graphs failed", self._side)
                 self._failed(f"following the graphs failed: {err}")
                 return
-            self._beat = time.monotonic()
+            self._began = None
 
     def _check_now(self) -> float:
         """Check, and return the seconds until a check without a wake-up."""

@@ -7,6 +7,7 @@ only the differences.
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
@@ -30,6 +31,9 @@ from bridge.routing.type_exchange import TypeExchange
 from bridge.status import Lease, RefusedRoute, WorkerStatus
 
 _log = logging.getLogger(__name__)
+
+_RATE_SECONDS = 0.9
+"""Minimum seconds between two measurements of the rates, less than `bridge.daemon.protocol.QUIET_INTERVAL`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +121,7 @@ class Engine:
     ) -> None:  # fmt: skip
         self.edge, self.hub = edge, hub
         self._on_failure = on_failure
-        self._loop = CheckLoop(edge.side, self._check, self._tick, on_failure)
+        self._loop = CheckLoop(edge.side, self._check, on_failure)
         self._peers = PeerWatch(edge, hub, daemon, self._loop.wake)
         small, bulk = (Dispatcher(f"midspan-{edge.side}-{size}") for size in ("small", "bulk"))
         types, wake = TypeExchange(hub, edge, self.graph_changed), self.graph_changed
@@ -128,7 +132,7 @@ class Engine:
         self._tokens = NetworkTokens(hub, edge.side, daemon)
         self._term = 0
         self._checked = _Checked()
-        self._rate = 0.0
+        self._rate, self._rate_at = 0.0, time.monotonic()
         self._closers: list[Callable[[], None]] = []
 
     @property
@@ -192,9 +196,6 @@ class Engine:
 
     # -- the loop ------------------------------------------------------------------------------------------------------
 
-    def _tick(self) -> None:
-        self._rate = sum(route.counters.tick() for route in self._routes.all())
-
     def _check(self) -> bool:
         """Compare the wanted routes with the existing ones; return whether any is refused and has to be tried again."""
         network = self.edge.network()
@@ -242,6 +243,13 @@ class Engine:
     def decisions(self) -> list[RouteDecision]:
         """Return the decisions on each topic and service at the last check."""
         return list(self._checked.decisions)
+
+    def measure_rates(self) -> None:
+        """Update the rates of the routes, at most once a second; called at each heartbeat of the worker."""
+        now = time.monotonic()
+        if now - self._rate_at > _RATE_SECONDS:
+            self._rate_at = now
+            self._rate = sum(route.counters.tick() for route in self._routes.all())
 
     def summary(self) -> Summary:
         """Return a summary of the engine's state; its cost does not grow with the number of routes."""

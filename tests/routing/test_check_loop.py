@@ -5,9 +5,11 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from typing_extensions import override
 
 from bridge.routing import check_loop
 from bridge.routing.check_loop import CheckLoop
@@ -16,9 +18,9 @@ from tests.support.wait import until
 
 @contextmanager
 def running(
-    check: Callable[[], bool], tick: Callable[[], None] = lambda: None, failed: Callable[[str], None] = pytest.fail
+    check: Callable[[], bool], tick: Callable[[], None] | None = None, failed: Callable[[str], None] = pytest.fail
 ) -> Iterator[CheckLoop]:
-    loop = CheckLoop("test", check, tick, failed)
+    loop = CheckLoop("test", check, failed, tick)
     loop.start()
     try:
         yield loop
@@ -38,6 +40,27 @@ def test_checks_at_the_start_and_when_woken_but_not_when_stopped(monkeypatch: py
         before = len(ticks)
         until(lambda: len(ticks) > before + 1, "the loop waits again")
     assert len(checks) == 2
+
+
+def test_loop_without_ticks_sleeps_until_the_next_check_and_does_not_count_as_hanging(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Each wake-up of an idle process takes up to a millisecond of processor time."""
+    monkeypatch.setattr(check_loop, "POLL", 1000.0)
+    monkeypatch.setattr(check_loop, "_STEP_SECONDS", 0.0)
+    pauses = list[float | None]()
+
+    class Wake(threading.Event):
+        @override
+        def wait(self, timeout: float | None = None) -> bool:
+            pauses.append(timeout)
+            return super().wait(timeout)
+
+    monkeypatch.setattr(check_loop, "threading", SimpleNamespace(Event=Wake, Thread=threading.Thread))
+    with running(lambda: False) as loop:
+        until(lambda: pauses and (pauses[-1] or 0.0) > 900.0, "the loop waits for the next check")
+        assert loop.alive() == ""
+    assert len(pauses) <= 4
 
 
 def test_wake_up_during_a_check_leads_to_another_check(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -75,7 +75,7 @@ class HubRelay:
         self._failures: dict[RelayKey, str] = {}
         self._trouble = ""
         self._stalls = 0
-        self._loop = CheckLoop("relay", self._check, self._tick, failed)
+        self._loop = CheckLoop("relay", self._check, failed, self._tick)
         self._closing = SerialExecutor("midspan-relay-closing")
         self._closers: list[Callable[[], None]] = []
 
