@@ -12,13 +12,13 @@ from typing import Any
 import psutil
 import pytest
 import zenoh
-from typing_extensions import override
 
 from bridge.hub import links
 from bridge.hub.errors import HubConfigError
 from bridge.hub.node import Hub
 from tests.peers.hub.network import HubNetwork
 from tests.peers.hub.quick import QuickHub
+from tests.support.recorded_waits import recorded_waits
 from tests.support.wait import until
 
 
@@ -56,16 +56,9 @@ def test_single_lost_link_is_restored(hubs: QuickHub) -> None:
 
 def test_lost_link_is_noticed_without_polling(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch) -> None:
     """The graph reports it: the tokens of the other session end with the link. Polling would cost an idle process."""
-    pauses = list[float | None]()
-
-    class Wake(threading.Event):
-        @override
-        def wait(self, timeout: float | None = None) -> bool:
-            pauses.append(timeout)
-            return super().wait(timeout)
-
+    wake, pauses = recorded_waits()
     monkeypatch.setattr(links, "_COMPARE_SECONDS", 1000.0)
-    monkeypatch.setattr(links, "Event", Wake)
+    monkeypatch.setattr(links, "Event", wake)
     with Hub.open(hubs.settings("one")) as first, Hub.open(hubs.settings("two", "two")) as second:
         until(lambda: second.zid in first.neighbors() and first.zid in second.neighbors(), "the sessions are linked")
         until(lambda: pauses and (pauses[-1] or 0.0) > 900.0, "the sessions sleep")

@@ -9,10 +9,10 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from typing_extensions import override
 
 from bridge.routing import check_loop
 from bridge.routing.check_loop import CheckLoop
+from tests.support.recorded_waits import recorded_waits
 from tests.support.wait import until
 
 
@@ -48,15 +48,8 @@ def test_loop_without_ticks_sleeps_until_the_next_check_and_does_not_count_as_ha
     """Each wake-up of an idle process takes up to a millisecond of processor time."""
     monkeypatch.setattr(check_loop, "POLL", 1000.0)
     monkeypatch.setattr(check_loop, "_STEP_SECONDS", 0.0)
-    pauses = list[float | None]()
-
-    class Wake(threading.Event):
-        @override
-        def wait(self, timeout: float | None = None) -> bool:
-            pauses.append(timeout)
-            return super().wait(timeout)
-
-    monkeypatch.setattr(check_loop, "threading", SimpleNamespace(Event=Wake, Thread=threading.Thread))
+    wake, pauses = recorded_waits()
+    monkeypatch.setattr(check_loop, "threading", SimpleNamespace(Event=wake, Thread=threading.Thread))
     with running(lambda: False) as loop:
         until(lambda: pauses and (pauses[-1] or 0.0) > 900.0, "the loop waits for the next check")
         assert loop.alive() == ""
