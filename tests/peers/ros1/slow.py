@@ -7,7 +7,7 @@ import math
 import socket
 import struct
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 from bridge.adapters.ros1.connection_loop import ConnectionLoop, is_readable
 from bridge.adapters.ros1.topics.outlet import SubscriberConnection
@@ -139,11 +139,15 @@ def cut(talker: Talker, connection: SubscriberConnection, payload: Callable[[int
     return sent
 
 
-def fill(sock: socket.socket) -> None:
-    """Write to a socket until it accepts nothing more."""
-    with contextlib.suppress(BlockingIOError):
-        while True:
-            sock.send(bytes(10_000), socket.MSG_DONTWAIT)
+@contextlib.contextmanager
+def full_socket() -> Iterator[socket.socket]:
+    """Yield a socket that accepts nothing more. TCP would accept more when the other end's system has acknowledged."""
+    near, far = socket.socketpair()
+    with near, far:
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                near.send(b"x", socket.MSG_DONTWAIT)
+        yield near
 
 
 def until_free(connection: SubscriberConnection) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from bridge.adapters.ros1.topics.outputs import Outputs, Socket
 from tests.peers.native import RecordingOutput, exit_to, pass_on
-from tests.peers.ros1.slow import Listener, Talker, c_socket, cut, fill, frame, until_free
+from tests.peers.ros1.slow import Listener, Talker, c_socket, cut, frame, full_socket, until_free
 from tests.support.no_threads import no_threads
 from tests.support.wait import until
 
@@ -110,7 +110,7 @@ class Garbage:
 
 def test_finalizers_do_not_change_a_message_that_is_being_sent() -> None:
     """The collector must not run before all sockets have the message."""
-    other, full, fast = exit_to(RecordingOutput()), Listener(slow=True), Listener()
+    other, fast = exit_to(RecordingOutput()), Listener()
     lists: list[list[int]] = []
 
     def prepare() -> bool:
@@ -121,19 +121,18 @@ def test_finalizers_do_not_change_a_message_that_is_being_sent() -> None:
         gc.enable()
         return False
 
-    sockets = Socket(full.theirs.fileno(), (), print), Socket(fast.theirs.fileno(), (prepare,), print)
-    outputs = Outputs(())
-    outputs.set(sockets)
-    way, thresholds = exit_to(outputs), gc.get_threshold()
-    fill(full.theirs)
-    gc.set_threshold(1)
-    try:
-        assert pass_on(way, b"message")
-    finally:
-        gc.set_threshold(*thresholds)
+    with full_socket() as full:
+        sockets = Socket(full.fileno(), (), print), Socket(fast.theirs.fileno(), (prepare,), print)
+        outputs = Outputs(())
+        outputs.set(sockets)
+        way, thresholds = exit_to(outputs), gc.get_threshold()
+        gc.set_threshold(1)
+        try:
+            assert pass_on(way, b"message")
+        finally:
+            gc.set_threshold(*thresholds)
     assert sockets[0].take() + fast.read(11) == 2 * frame(b"message")
-    for listener in (full, fast):
-        listener.close()
+    fast.close()
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -206,16 +205,14 @@ def test_the_rest_of_a_message_waits_until_a_thread_can_start(talker: Talker) ->
 
 def test_a_socket_that_accepts_nothing_keeps_the_whole_frame() -> None:
     calls: list[str] = []
-    listener = Listener(slow=True)
-    fill(listener.theirs)
-    sock = Socket(listener.theirs.fileno(), (), lambda: calls.append("resume"))
-    outputs = Outputs(())
-    outputs.set((sock,))
-    assert pass_on(exit_to(outputs), b"whole")
+    with full_socket() as full:
+        sock = Socket(full.fileno(), (), lambda: calls.append("resume"))
+        outputs = Outputs(())
+        outputs.set((sock,))
+        assert pass_on(exit_to(outputs), b"whole")
     assert (calls, sock.free, sock.cut, sock.failed) == (["resume"], False, True, False)
     assert (sock.bytes, sock.messages, outputs.bytes) == (0, 0, 5)
     assert (sock.take(), sock.cut, sock.take()) == (frame(b"whole"), False, b"")
-    listener.close()
 
 
 def test_a_broken_connection_fails_once(talker: Talker) -> None:
