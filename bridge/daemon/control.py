@@ -211,6 +211,8 @@ class ControlServer:
             if not data:
                 break
             for line in lines.feed(data):
+                if self._client is not client:  # a later connection's commands come after this line
+                    return
                 try:
                     self._on_command(protocol.decode_command(line))
                 except protocol.ProtocolError as err:

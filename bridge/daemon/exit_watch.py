@@ -11,7 +11,7 @@ from yarp_compat.selector_loop import SelectorLoop
 
 
 class ExitWatch:
-    """Calls back on the loop once a process has exited, until it is closed; needs Linux 5.3."""
+    """Calls back on the loop once a process has exited, until closed; needs Linux 5.3 and a Python built for it."""
 
     def __init__(self, loop: SelectorLoop, pid: int, on_exit: Callable[[], None]) -> None:
         self._loop, self._on_exit = loop, on_exit
@@ -38,7 +38,7 @@ class ExitWatch:
 
 def _process_file(pid: int) -> int | None:
     """Return a descriptor that is readable once the process has exited (pidfd_open(2)), None without one."""
-    if sys.platform == "linux":
+    if sys.platform == "linux" and hasattr(os, "pidfd_open"):
         with contextlib.suppress(OSError):  # an earlier system, a sandbox, or no free descriptor
             return os.pidfd_open(pid)
     return None

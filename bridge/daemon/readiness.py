@@ -14,7 +14,8 @@ logger = logging.getLogger("midspan.daemon")
 
 READY_AFTER = 10.0
 """Seconds after which the daemon reports ready in any case: a side without its network must not fail the service."""
-STATUS_INTERVAL = 1.0
+STATUS_INTERVAL, ANNOUNCE_INTERVAL = 1.0, 0.25
+"""Seconds between two status lines, and between two checks of whether the daemon is ready."""
 
 
 class Readiness:
@@ -41,6 +42,11 @@ class Readiness:
     def announce_again(self) -> None:
         """Report ready again at the next `step`, because systemd waits for the end of a reload."""
         self._announced = False
+
+    @property
+    def pause(self) -> float:
+        """Seconds after which `step` has to be called again."""
+        return STATUS_INTERVAL if self._announced else ANNOUNCE_INTERVAL
 
     def step(self, now: float, settled: Callable[[], bool]) -> None:
         """Report what is due; ``settled`` returns whether all workers have started, or cannot."""

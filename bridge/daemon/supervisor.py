@@ -19,7 +19,7 @@ from bridge.daemon.lock import Lock
 from bridge.daemon.log_query import LOG, RecentLines
 from bridge.daemon.notify import Notifier
 from bridge.daemon.query import RELOAD, STATUS, Phase, QueryServer
-from bridge.daemon.readiness import STATUS_INTERVAL, Readiness
+from bridge.daemon.readiness import Readiness
 from bridge.daemon.worker_process import WorkerProcess
 from bridge.daemon.worker_run import Timing
 from bridge.daemon.workers import worker_kinds
@@ -204,7 +204,8 @@ class Supervisor:
 
     def _step(self) -> None:
         interval = self._notify.watchdog_interval
-        pause = min(STATUS_INTERVAL, interval / 2 if interval else math.inf, *(worker.pause for worker in self.workers))
+        pauses = (self._readiness.pause, interval / 2 if interval else math.inf)
+        pause = min(*pauses, *(worker.pause for worker in self.workers))
         self.loop.step(pause)
         now = time.monotonic()
         late = now - self._stepped - pause

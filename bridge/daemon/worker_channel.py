@@ -341,5 +341,7 @@ class SocketChannel(WorkerChannel):
 
 
 def _unnamed_file() -> IO[bytes]:
-    """Open a temporary file for a child to read; on Linux in memory, so that a full disk does not matter."""
-    return os.fdopen(os.memfd_create("midspan"), "w+b") if sys.platform == "linux" else tempfile.TemporaryFile()
+    """Open a temporary file for a child to read; in memory if possible, so that a full disk does not matter."""
+    if sys.platform == "linux" and hasattr(os, "memfd_create"):  # a Python for an old glibc lacks it
+        return os.fdopen(os.memfd_create("midspan"), "w+b")
+    return tempfile.TemporaryFile()

@@ -142,7 +142,8 @@ class Mesh:
             if self._wake.wait(max(0.0, self._compare_at - time.monotonic())):
                 self._wake.clear()
                 self._closed.wait(_SETTLE_SECONDS)
-            self._attempt(self._handle_events, self._compare)
+            self._attempt(self._handle_events)
+            self._attempt(self._compare)  # also after a failure, as it sets the end of the next wait
             self._search()
 
     @staticmethod

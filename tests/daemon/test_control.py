@@ -19,7 +19,7 @@ from bridge.config.model import Config
 from bridge.daemon import control, protocol
 from bridge.daemon.control import Commands, ControlServer, DaemonPipe
 from bridge.daemon.local_socket import LocalListener
-from bridge.daemon.protocol import Beat, Hello, NewConfig, decode_command, encode_report
+from bridge.daemon.protocol import Beat, Hello, NewConfig, decode_command, encode_command, encode_report
 from bridge.daemon.worker_channel import SocketChannel
 from bridge.worker import Health
 from tests.support.descriptors import no_descriptors
@@ -106,6 +106,33 @@ def test_a_connection_admitted_late_does_not_replace_a_later_one(
         assert first.recv(4096) == b""
         server.report(Beat(1, Health("running", "x")))
         assert b"running" in second.recv(4096)
+
+
+def test_commands_of_a_replaced_connection_are_dropped(tmp_path: Path) -> None:
+    """They would take effect after those of the daemon that has replaced it."""
+    handled, entered, go_on = list[str](), threading.Event(), threading.Event()
+    serving = list[threading.Thread]()
+
+    def handle(command: protocol.Command) -> None:
+        assert isinstance(command, NewConfig)
+        serving.append(threading.current_thread())
+        if command.config.name == "first":
+            entered.set()
+            assert go_on.wait(20)
+        handled.append(command.config.name)
+
+    server = ControlServer(tmp_path / "socket", "daemon", handle)
+    with contextlib.closing(server), socket.socket(socket.AF_UNIX) as old, socket.socket(socket.AF_UNIX) as new:
+        for daemon, names in ((old, ("first", "late")), (new, ("new",))):
+            daemon.settimeout(20)
+            daemon.connect(str(tmp_path / "socket"))
+            assert b"hello" in daemon.recv(4096)
+            daemon.sendall(b"".join(encode_command(NewConfig(Config(name=name))) for name in names))
+            assert entered.wait(20)
+        until(lambda: handled == ["new"], "the new connection's command is handled")
+        go_on.set()
+        serving[0].join(20)
+        assert handled == ["new", "first"]
 
 
 def test_a_daemon_can_connect_after_a_lack_of_threads(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -7,14 +7,18 @@ import math
 import os
 import subprocess
 import sys
+import time
+from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import pytest
 
-from bridge.daemon import worker_run
+from bridge.daemon import worker_channel, worker_run
 from bridge.daemon.exit_watch import ExitWatch
 from bridge.daemon.protocol import Beat
 from bridge.daemon.query import Phase
+from bridge.daemon.readiness import ANNOUNCE_INTERVAL, STATUS_INTERVAL, Readiness
 from bridge.daemon.worker_process import STEP, WorkerProcess
 from bridge.daemon.worker_run import Timing
 from bridge.daemon.workers import worker_kinds
@@ -50,10 +54,13 @@ def test_the_daemon_sleeps_until_it_has_to_check_a_worker(monkeypatch: pytest.Mo
     loop.close()
 
 
-@pytest.mark.parametrize("reported", [True, False])
-def test_the_exit_of_a_process_ends_the_daemons_sleep(reported: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    if not reported:
+@pytest.mark.parametrize("system", ["reports exits", "too old", "Python built for an older system"])
+def test_the_exit_of_a_process_ends_the_daemons_sleep(system: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    reported = system == "reports exits"
+    if system == "too old":
         monkeypatch.setattr(os, "pidfd_open", lambda _: no_process_files(), raising=False)
+    elif not reported:
+        monkeypatch.delattr(os, "pidfd_open", raising=False)
     loop, exits = SelectorLoop(), list[None]()
     with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as process:
         watch = ExitWatch(loop, process.pid, lambda: exits.append(None))
@@ -69,3 +76,24 @@ def test_the_exit_of_a_process_ends_the_daemons_sleep(reported: bool, monkeypatc
 
 def no_process_files() -> int:
     raise OSError(errno.ENOSYS, "this system is too old")
+
+
+@pytest.mark.parametrize("in_memory", [True, False])
+def test_a_child_can_be_given_a_file_without_a_name(in_memory: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not in_memory:
+        monkeypatch.delattr(os, "memfd_create", raising=False)
+    with worker_channel._unnamed_file() as file:
+        file.write(b"first")
+        file.seek(0)
+        assert file.read() == b"first"
+
+
+def test_the_daemon_checks_often_whether_it_is_ready(tmp_path: Path) -> None:
+    readiness = Readiness(MagicMock(), lambda: "", lambda: tmp_path)
+    readiness.begin()
+    readiness.step(time.monotonic(), lambda: False)
+    assert readiness.pause == ANNOUNCE_INTERVAL
+    readiness.step(time.monotonic(), lambda: True)
+    assert readiness.pause == STATUS_INTERVAL
+    readiness.announce_again()
+    assert readiness.pause == ANNOUNCE_INTERVAL

@@ -230,3 +230,19 @@ def test_links_are_compared_again_after_an_error(
     monkeypatch.setattr(links.Mesh, "_compare", compare)
     with Hub.open(hubs.settings("one")):
         until(compared.is_set, "the links are compared again")
+
+
+def test_events_that_cannot_be_read_do_not_keep_the_thread_busy(
+    hubs: QuickHub, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wake, pauses = recorded_waits()
+
+    def fail(_mesh: object) -> None:
+        raise zenoh.ZError("the ringbuffer has been deleted")
+
+    monkeypatch.setattr(links, "Event", wake)
+    monkeypatch.setattr(links, "_COMPARE_SECONDS", 0.2)
+    monkeypatch.setattr(links.Mesh, "_handle_events", fail)
+    with Hub.open(hubs.settings("one")):
+        until(lambda: len(pauses) > 10, "the thread has waited several times")
+    assert sum(pause == 0.0 for pause in pauses) < 3
