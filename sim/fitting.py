@@ -8,7 +8,7 @@ from pathlib import Path
 from bridge.config.sections.section import Mistake
 from sim import pieces, robot
 from sim.environment import SimError
-from sim.plan import Floor, Plan, Pose, load_plan
+from sim.plan import Plan, Pose, load_plan
 from sim.robot import RobotDescription
 
 
@@ -51,17 +51,7 @@ def wrong_start(start: Pose | None, plan: Plan, description: RobotDescription, *
     """Return why the robot cannot start at its start pose, "" if it can."""
     floor = plan.floors[plan.first]
     x, y, _ = start or floor.start
-    left, bottom, right, top = _area(floor)
-    if not (left <= x <= right and bottom <= y <= top):
-        area = f"x from {left:.2f} to {right:.2f}, y from {bottom:.2f} to {top:.2f}"
-        return f"{x:.2f}, {y:.2f} is outside the plan {plan.name} ({area}, meters)"
+    if max(abs(x), abs(y)) > floor.reach:
+        return f"{x:.2f}, {y:.2f} is beyond the ground of the plan {plan.name}, {floor.reach:.0f} m from the origin"
     reason = pieces.occupant(pieces.at_start(floor, people=people), description.body, x, y)
     return f"{reason}; it needs {description.body.radius:.2f} m of room on all sides" if reason else ""
-
-
-def _area(floor: Floor) -> tuple[float, float, float, float]:
-    """Return the bounds of all things and places of a floor, in meters: left, bottom, right, top."""
-    left, bottom, right, top = floor.extent
-    poses: list[Pose] = [floor.start, *floor.places.values()]
-    xs, ys = [left, right, *(pose[0] for pose in poses)], [bottom, top, *(pose[1] for pose in poses)]
-    return min(xs), min(ys), max(xs), max(ys)

@@ -146,6 +146,11 @@ class Floor(Section):
         return {**{name: room.pose for name, room in self.rooms.items()}, **self.locations}
 
     @property
+    def reach(self) -> float:
+        """Half the side of the ground, a square around the origin, in meters."""
+        return max(50.0, *(abs(value) for value in self.extent)) + 10.0
+
+    @property
     def extent(self) -> tuple[float, float, float, float]:
         """The bounds of all walls, doors, boxes, tables and round things, in meters: x0, y0, x1, y1."""
         points = [p for wall in self.walls for p in wall] + [p for door in self.doors for p in door.line]

@@ -142,10 +142,12 @@ class SimSection(Section):
 
     @override
     def mistakes(self, config: Any) -> Iterable[Mistake]:
-        from sim.environment import ready  # not needed without `sim`
+        if not self.enabled:
+            return ()
+        from sim.environment import ready
 
         shipped = self.plan in ready("plans") and self.robot in ready("robots")
-        if not self.enabled or (shipped and not self.start and not self.encoders.scale):
+        if shipped and not self.start and not self.encoders.scale:
             return ()
         from sim.fitting import mistakes  # imports numpy
 

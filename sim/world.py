@@ -62,8 +62,7 @@ class FloorWorld:
         self._world.setGravity([0.0, 0.0, -9.81])
         self._world.setTimeStep(STEP_NS / 1e9)
         self._world.setCollisionDetector(dart.collision.BulletCollisionDetector())
-        extent = floor.extent
-        self._world.addSkeleton(ground(max(50.0, *(abs(v) for v in extent)) + 10.0, floor.drops))
+        self._world.addSkeleton(ground(floor.reach, floor.drops))
         # the lower parts of the floor, in the format of `solids`
         self.drops = solids_of([Piece("", *d.at, 0.0, *d.size, d.depth, above=-d.depth) for d in floor.drops])
         self._world.addSkeleton(base.skeleton)

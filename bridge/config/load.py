@@ -100,6 +100,8 @@ def _without_empty(data: dict[str, Any], model: type[BaseModel]) -> dict[str, An
 def _resolve_paths(value: Any, path: KeyPath, document: Document, missing: list[Problem]) -> Any:
     """Return the value with absolute paths, resolved from the file's folder; add missing files to ``missing``."""
     if isinstance(value, BaseModel):
+        if getattr(value, "enabled", None) is False:
+            missing = []  # what is off needs no files
         inner = {
             name: _resolve_paths(getattr(value, name), (*path, key_name(name, info)), document, missing)
             for name, info in type(value).model_fields.items()

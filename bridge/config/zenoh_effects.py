@@ -32,6 +32,7 @@ _LEAST: tuple[tuple[KeyPath, int, str], ...] = (
 
 _PROTOCOLS: KeyPath = ("transport", "link", "protocols")
 _GOSSIP: KeyPath = ("scouting", "gossip", "enabled")
+_MULTICAST: KeyPath = ("scouting", "multicast", "enabled")
 _PEERS: KeyPath = ("listen", "endpoints")
 _MEETING: dict[KeyPath, tuple[KeyPath, str]] = {
     WORKERS: (("connect", "endpoints"), "the workers would not reach the daemon's router"),
@@ -59,7 +60,9 @@ def unusable(tree: Tree, section: KeyPath, config: Config) -> Iterator[Flaw]:
     protocols, listens = _found(tree, _PROTOCOLS), config.hub.listen.partition("/")[0]
     if protocols and listens not in protocols:
         yield _PROTOCOLS, f"must contain {listens!r}, the protocol of 'hub.listen'"
-    if _found(tree, _GOSSIP) is False and tree.get("mode") != "client":
+    workers = tree if section == WORKERS else config.hub.zenoh
+    clients = isinstance(workers, dict) and workers.get("mode") == "client"
+    if _found(tree, _GOSSIP) is False and not clients and not _found(tree, _MULTICAST):
         yield _GOSSIP, "workers would not find each other; leave it out"
     if section == WORKERS and tree.get("mode", "peer") == "peer" and _of_mode(_found(tree, _PEERS), "peer") == []:
         yield _PEERS, "workers would not connect to each other; leave it out"
@@ -80,7 +83,7 @@ def _elsewhere(tree: Tree, section: KeyPath, config: Config) -> Iterator[Flaw]:
     """Yield a flaw for a list that replaces Midspan's, but lacks the endpoint at which the hub's sessions meet."""
     path, effect = _MEETING[section]
     endpoints, place = _found(tree, path), config.hub.listen
-    if endpoints is None or config.hub.router is False:
+    if endpoints is None or config.hub.router is False or (section == WORKERS and _found(tree, _MULTICAST)):
         return
     mode = "router" if section != WORKERS else tree.get("mode", "peer")
     if not any(_same_place(text, place) for _, text in texts(_of_mode(endpoints, mode), ())):

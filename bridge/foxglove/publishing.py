@@ -166,12 +166,12 @@ class ClientTopic(PublishedChannel):
 class ClientVelocity(PublishedChannel):
     """A client's channel for the base's velocity; implements `bridge.web.verbs.hold.HandDriver`."""
 
-    def __init__(self, driving: HandDriving, channel: Advertised, visitor: Visitor, coder: Coder) -> None:
+    def __init__(
+        self, driving: HandDriving, channel: Advertised, visitor: Visitor, coder: Coder, stalls: StallDetector
+    ) -> None:
         super().__init__(channel, visitor)
         self.who = visitor.who
-        self._stalls = StallDetector()
-        self._stalls.start()
-        self._driving, self._coder = driving, coder
+        self._driving, self._coder, self._stalls = driving, coder, stalls
         self._refusal = ""
         self._arrived = self._pressed = -math.inf
 
@@ -209,7 +209,6 @@ class ClientVelocity(PublishedChannel):
     def close(self) -> None:
         """Command zero velocity if the client is driving."""
         self._driving.release(self)
-        self._stalls.stop()
 
 
 class Publishing:
@@ -227,6 +226,7 @@ class Publishing:
         self._rules = RuleSet(host.config.rules)
         self._channels: dict[tuple[int, int], PublishedChannel] = {}
         self._warned: dict[tuple[int, int], str] = {}
+        self._stalls: StallDetector | None = None
         self._closed = False
 
     def refresh(self) -> None:
@@ -281,7 +281,10 @@ class Publishing:
             raise NotPublishedError(
                 f"velocities are accepted only on {allowed}, because on other topics nothing would stop the base"
             )
-        return ClientVelocity(self._driving, channel, visitor, coder)
+        if self._stalls is None:
+            self._stalls = StallDetector()
+            self._stalls.start()
+        return ClientVelocity(self._driving, channel, visitor, coder, self._stalls)
 
     def _send(self, key: tuple[int, int], published: PublishedChannel, message: ClientMessage) -> None:
         try:
@@ -323,5 +326,7 @@ class Publishing:
     def close(self) -> None:
         """Stop the robot if a client drives it; close all channels, and open no new ones."""
         self._closed = True
+        if self._stalls is not None:
+            self._stalls.stop()
         for key in list(self._channels):
             self._close(key)

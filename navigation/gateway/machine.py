@@ -148,7 +148,7 @@ class SenderEvent(Enum):
     """What changes `SenderState`."""
 
     VELOCITY = "a client sends a velocity other than zero"
-    DISPLACE = "such a velocity is refused, because the planner or a person drives"
+    DISPLACE = "such a velocity is refused or ended, because the planner or a person drives"
     STOP = "a person stops the robot"
     PAUSE = "no velocity but zero has arrived for a moment"
     END = "the gateway shuts down"

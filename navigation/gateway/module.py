@@ -135,7 +135,7 @@ class GatewayModule(Module):
         elif drive is not None and drive.client != CLIENT:
             self._device.target_name = drive.name
         if self._planner_drives:
-            self._commander.stop()
+            self._commander.displace()
         self._write_status()
 
     @property

@@ -86,7 +86,7 @@ class VelocitySender:
     def _refusal(self, velocity: YarpVelocity, other: str) -> str:
         moves = any(velocity)
         if moves and other:
-            self._machine.on(SenderEvent.DISPLACE)
+            self.displace()
         state = self._machine.state
         held = _REFUSALS.get(state, "") if moves or state is SenderState.ENDED else ""
         return (other or held) if state is SenderState.DISPLACED else (held or other)
@@ -97,6 +97,10 @@ class VelocitySender:
         if reason != self._refused or now - self._refused_at > _LOG_SECONDS:
             self._log.warning("a velocity of %s is refused: %s", CLIENT, reason)
         self._refused, self._refused_at = reason, now
+
+    def displace(self) -> None:
+        """Require a pause if velocities arrive, because the planner or a person drives."""
+        self._machine.on(SenderEvent.DISPLACE)
 
     def stop(self) -> None:
         """Require a pause if velocities arrive."""
@@ -188,6 +192,11 @@ class VelocityCommander:
                 self._host.log.exception("zero velocity could not be published; it is repeated")
             self._control.end()
 
+    def displace(self) -> None:
+        """Stop because the planner or a person drives: a client that repeats its velocity must pause, too."""
+        self._sender.displace()
+        self.stop()
+
     def stop_client(self) -> None:
         """Stop for a person: a client that repeats its velocity must pause before it drives again."""
         self._sender.stop()
@@ -223,10 +232,13 @@ class VelocityCommander:
     def _tick(self) -> None:
         self._sender.tick()
         if self._commands:
-            if self.last is not None and (self._machine.state is VelocityState.HALTING or not self._control.rival()):
-                self._output.send(self._command.velocity)
-            else:
+            displaced = self._machine.state is VelocityState.DRIVING and bool(self._control.rival())
+            if displaced:
+                self.displace()
+            elif self.last is None:
                 self.stop()
+            else:
+                self._output.send(self._command.velocity)
         elif self._output.zeros and not self._busy() and not self._control.rival():
             self._output.send(ZERO)
         else:

@@ -65,7 +65,12 @@ def test_similar_values_with_which_it_can_start_are_accepted(text: str) -> None:
 
 @pytest.mark.parametrize(
     "key",
-    ["modules: {base_control: {ini: PATH}}", "store: {maps: PATH}", "ros2: {profile: PATH}", "sim: {plan: PATH}"],
+    [
+        "modules: {base_control: {enabled: true, ini: PATH}}",
+        "store: {maps: PATH}",
+        "ros2: {profile: PATH}",
+        "sim: {enabled: true, plan: PATH}",
+    ],
 )
 def test_a_folder_in_place_of_a_file_is_refused(key: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=f"{tmp_path} is a folder, not a file"):
@@ -78,12 +83,19 @@ def test_a_folder_in_place_of_a_file_is_refused(key: str, tmp_path: Path) -> Non
         "state: PATH",
         "types: {folders: [PATH]}",
         "hub: {open: {keys: PATH}}",
-        "record: {folder: PATH}",
+        "record: {enabled: true, folder: PATH}",
         "ros1: {packages: PATH}",
-        "modules: {map2d_server: {folder: PATH}}",
+        "modules: {map2d_server: {enabled: true, folder: PATH}}",
     ],
 )
 def test_a_file_in_place_of_a_folder_is_refused(key: str, tmp_path: Path) -> None:
     (file := tmp_path / "a").touch()
     with pytest.raises(ConfigError, match=f"{file} is a file, not a folder"):
         loads(key.replace("PATH", str(file)))
+
+
+@pytest.mark.parametrize(
+    "text", ["sim: {enabled: false, plan: gone/plan.yaml}", "modules: {base_control: {ini: gone.ini}}"]
+)
+def test_what_is_off_needs_no_files(text: str) -> None:
+    assert loads(text)

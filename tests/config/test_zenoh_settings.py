@@ -129,6 +129,8 @@ def test_endpoints_without_that_of_the_hub_are_refused(hub: str, place: str, tex
         "zenoh: {connect: {endpoints: {peer: ['tcp/localhost:7447']}}}",
         "router: false, zenoh: {mode: client, connect: {endpoints: ['tls/robot:7448']}}",
         "zenoh: {mode: client, listen: {endpoints: []}, scouting: {gossip: {enabled: false}}}",
+        "zenoh: {mode: client}, router_zenoh: {scouting: {gossip: {enabled: false}}}",
+        "zenoh: {connect: {endpoints: []}, scouting: {gossip: {enabled: false}, multicast: {enabled: true}}}",
         "listen: 'unixsock-stream//tmp/a', zenoh: {connect: {endpoints: ['unixsock-stream//tmp/a']}}",
         "router_zenoh: {listen: {endpoints: ['tcp/localhost:7447', 'tcp/127.0.0.1:7450']}}",
     ],

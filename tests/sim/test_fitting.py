@@ -26,7 +26,7 @@ PLANS = (
     [
         ("encoders: {scale: [0.1]}", "encoders.scale", f"has 1 value, and needs 2, {ENCODERS}"),
         ("encoders: {scale: [0.1, 0.1, 0.1]}", "encoders.scale", f"has 3 values, and needs 2, {ENCODERS}"),
-        ("start: [1000, 0, 0]", "start", "1000.00, 0.00 is outside the plan apartment (x from -0.06 to 12.06, y from -0.06 to 9.06, meters)"),
+        ("start: [1000, 0, 0]", "start", "1000.00, 0.00 is beyond the ground of the plan apartment, 60 m from the origin"),
         ("start: [0, 3, 0]", "start", "the robot cannot stand at 0.00, 3.00: a wall is there; it needs 0.21 m of room on all sides"),
         ("start: [0, 3]", "start", "has 2 values, and needs exactly 3: The robot's start pose: x, y (meters), direction (degrees)"),
         ("plan: apartmnt", "plan", f"'apartmnt' {PLANS}"),
@@ -81,10 +81,14 @@ def test_files_are_relative_to_the_configuration_and_checked(tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("section", "text"),
     [
-        (SimSection(start=(1000.0, 0.0, 0.0)), "start pose: 1000.00, 0.00 is outside the plan apartment"),
+        (SimSection(start=(1000.0, 0.0, 0.0)), "start pose: 1000.00, 0.00 is beyond the ground of the plan apartment"),
         (SimSection(encoders=EncodersSection(scale=(0.1,))), "sim.encoders.scale has 1 value, and needs 2"),
     ],
 )
 def test_a_simulation_without_a_daemon_refuses_the_same(section: SimSection, text: str) -> None:
     with pytest.raises(SimError, match=text):
         Simulation(section)
+
+
+def test_a_robot_can_start_on_the_ground_around_the_plan() -> None:
+    assert loads("sim: {enabled: true, start: [-1, -1, 0]}").sim.start == (-1.0, -1.0, 0.0)

@@ -217,6 +217,25 @@ def test_a_client_that_is_refused_because_the_planner_drives_does_not_pause(base
         base.commander.command(DRIVE, 0.2)
 
 
+@pytest.mark.parametrize("other", ["a person", "the planner"])
+def test_a_client_is_displaced_between_two_of_its_messages(base: Base, other: str) -> None:
+    """The other one may have finished before the client's next message arrives."""
+    base.commander.command(DRIVE, 1.0)
+    if other == "a person":
+        base.drivers["1"] = "anna (web)"
+        base.after(0.1)
+        base.drivers.clear()
+    else:
+        base.commander.displace()
+    base.after(0.1)
+    with pytest.raises(RequestError, match="the planner or a person drove; first send no velocity"):
+        base.commander.command(DRIVE, 1.0)
+    assert base.received[-1] == 0.0
+    base.after(1.3)
+    base.commander.command(DRIVE, 1.0)
+    assert base.received[-1] == 0.3
+
+
 @pytest.mark.parametrize("end", ["stop", "its own zero", "its time", "nothing"])
 def test_without_a_stop_of_a_person_a_client_may_drive_at_once(base: Base, end: str) -> None:
     base.commander.command(DRIVE, 0.2)

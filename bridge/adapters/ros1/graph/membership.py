@@ -60,8 +60,8 @@ class Membership:
             state = self._reader.read()
             if self._free_name(state, dead_uris) == name:
                 break
-        self._ledger.remember(self.entry())
         self.sim_time.join(others(state, entry), predecessor=any(e.simulated for e in dead))
+        self._ledger.remember(self.entry())
         _log.info("joined the ROS 1 network %s as %s", state.network, name)
 
     def leave(self, client: XmlRpcClient) -> None:

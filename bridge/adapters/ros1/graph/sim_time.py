@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from bridge.adapters.ros1.graph.presence import NodeEntry, is_alive
@@ -48,35 +48,52 @@ class SimTime:
 
     def join(self, others: Iterable[NodeEntry], *, predecessor: bool) -> None:
         """Set the parameter if it is wanted; else take it back for a dead ``predecessor`` that ran on ``/clock``."""
-        me, uri = self._node.name, self._node.uri
         self._changed.clear()
-        self._client.calls([("subscribeParam", (me, uri, SIM_TIME))])
+        self._client.calls([("subscribeParam", (self._node.name, self._node.uri, SIM_TIME))])
         value, self._set_by = self._read(self._client)
         if self.wanted and not value:
-            self._set_by = {"uri": uri, "before": [] if value is None else [value]}
-            # a node that is notified of the value must find the new address, else it takes this node for a program
-            self._client.calls([("setParam", (me, SET_BY, self._set_by)), ("setParam", (me, SIM_TIME, True))])
+            self._set(value)
             value = True
         elif predecessor and not self.wanted and not self._needed(others):
             self._take_back(self._client)
             value, self._set_by = self._read(self._client)
         self.simulated = bool(value)
 
+    def _set(self, before: Any) -> None:
+        me = self._node.name
+        self._set_by = {"uri": self._node.uri, "before": [] if before is None else [before]}
+        # a node that is notified of the value must find the new address, else it takes this node for a program
+        self._client.calls([("setParam", (me, SET_BY, self._set_by)), ("setParam", (me, SIM_TIME, True))])
+
     def refresh(self) -> None:
-        """Read the parameter again if another program has set it; Midspan does not take back that program's value."""
+        """Read the parameter again if another program has set it; Midspan does not take back that program's value.
+
+        If another node has just taken it back, this node sets it again.
+        """
         if not self._changed.is_set():
             return
         self._changed.clear()
         try:
-            value, set_by = self._read(self._client)
-            if set_by is not None and set_by == self._set_by:
-                _log.info("%s was set to %s by another program, and will not be reset", SIM_TIME, value)
-                self._client.calls([("deleteParam", (self._node.name, SET_BY))])
-                set_by = None
+            self._follow(*self._read(self._client))
         except Ros1Error:
             self._changed.set()
             raise
+
+    def _follow(self, value: Any, set_by: Any) -> None:
+        me = self._node.name
+        if value is None and set_by is None and self.wanted:
+            self._set(value)
+            value, set_by = True, self._set_by
+        elif set_by is not None and set_by == self._set_by and not self._is_shared():
+            _log.info("%s was set to %s by another program, and will not be reset", SIM_TIME, value)
+            self._client.calls([("deleteParam", (me, SET_BY))])
+            set_by = None
         self.simulated, self._set_by = bool(value), set_by
+
+    def _is_shared(self) -> bool:
+        """Return whether another node runs on ``/clock``, which may have set the parameter at the same time."""
+        (presence,) = self._client.calls([("getParam", (self._node.name, PRESENCE))])
+        return any(entry.simulated and entry.uri != self._node.uri for entry in _entries(presence))
 
     def leave(self, client: XmlRpcClient) -> None:
         """Take the parameter back unless another node needs it; call this after the removal of the own entry.
@@ -86,8 +103,7 @@ class SimTime:
         me = self._node.name
         calls: list[Call] = [("unsubscribeParam", (me, self._node.uri, SIM_TIME)), ("getParam", (me, PRESENCE))]
         _, presence = client.calls(calls)
-        entries = map(NodeEntry.parse, presence.values() if isinstance(presence, dict) else ())
-        if self.wanted and not self._needed(filter(None, entries)):
+        if self.wanted and not self._needed(_entries(presence)):
             self._take_back(client)
 
     def _needed(self, others: Iterable[NodeEntry]) -> bool:
@@ -104,3 +120,8 @@ class SimTime:
                 if value is True:
                     _log.info("%s is reset, since no Midspan node runs on /clock any longer", SIM_TIME)
                 client.calls([*([undo] if value is True else []), ("deleteParam", (me, SET_BY))])
+
+
+def _entries(presence: Any) -> Iterator[NodeEntry]:
+    """Yield the valid entries of a master's presence parameter."""
+    yield from filter(None, map(NodeEntry.parse, presence.values() if isinstance(presence, dict) else ()))

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
-from bridge.adapters.ros1.graph.sim_time import SET_BY, SIM_TIME
+from bridge.adapters.ros1.graph import sim_time as sim_time_module
+from bridge.adapters.ros1.graph.presence import NodeEntry
+from bridge.adapters.ros1.graph.sim_time import SET_BY, SIM_TIME, SimTime
+from bridge.adapters.ros1.graph.state import PRESENCE
 from tests.peers.ros1.adapter import EdgeUnderTest, edge_on
 from tests.peers.ros1.network import RosMaster, needs_ros1
 from tests.support.wait import until
@@ -69,6 +73,66 @@ def test_the_last_of_several_nodes_takes_it_back(master: RosMaster, tmp_path: Pa
         assert sim_time(master) is True
         two.leave()
         assert sim_time(master) is None
+
+
+class FakeMaster:
+    """The parameters of a master without notifications; `calls` is that of an `XmlRpcClient`."""
+
+    def __init__(self) -> None:
+        self.parameters: dict[str, Any] = {PRESENCE: {}}
+        self.before_set: Callable[[], object] = lambda: None
+
+    def calls(self, calls: Sequence[tuple[str, tuple[Any, ...]]]) -> list[Any]:
+        return [getattr(self, method)(*arguments[1:]) for method, arguments in calls]
+
+    def getParam(self, name: str) -> Any:  # noqa: N802 - the master's name
+        return self.parameters.get(name)
+
+    def setParam(self, name: str, value: Any) -> None:  # noqa: N802
+        between, self.before_set = self.before_set, lambda: None
+        between()
+        self.parameters[name] = value
+
+    def deleteParam(self, name: str) -> None:  # noqa: N802
+        self.parameters.pop(name, None)
+
+    def subscribeParam(self, *_: str) -> None:  # noqa: N802
+        pass
+
+    unsubscribeParam = subscribeParam  # noqa: N815
+
+    def node(self, name: str) -> SimTime:
+        """Return the parameter for a node that runs on `/clock`."""
+        uri = f"http://{name}:1/"
+        self.parameters[PRESENCE][name] = NodeEntry(name, name, f"/{name}", uri, 1, simulated=True).as_dict()
+        node: Any = SimpleNamespace(name=f"/{name}", uri=uri)
+        client: Any = self
+        return SimTime(node, client, wanted=True)
+
+
+def test_nodes_that_join_at_the_same_time_do_not_take_each_other_for_programs() -> None:
+    master = FakeMaster()
+    one, two = master.node("one"), master.node("two")
+    master.before_set = lambda: one.join([], predecessor=False)  # after the other one has read that it is not set
+    two.join([], predecessor=False)
+    for node in (one, two):
+        node.on_parameter(SIM_TIME)
+        node.refresh()
+    for node, name in ((one, "one"), (two, "two")):
+        assert master.parameters[SIM_TIME] is True
+        del master.parameters[PRESENCE][name]
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(sim_time_module, "is_alive", lambda *_: True)
+            node.leave(cast("Any", master))
+    assert master.parameters == {PRESENCE: {}}
+
+
+def test_a_node_that_joins_while_another_one_takes_it_back_sets_it_again(master: RosMaster, tmp_path: Path) -> None:
+    with simulated(master, tmp_path):
+        master.call("deleteParam", SET_BY)
+        master.call("deleteParam", SIM_TIME)
+        until(lambda: sim_time(master) is True, "it is set again")
+        assert master.call("getParam", SET_BY)["before"] == []
 
 
 @pytest.mark.parametrize("clock", ["system", "sim"])
