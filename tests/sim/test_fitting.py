@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -91,4 +92,5 @@ def test_a_simulation_without_a_daemon_refuses_the_same(section: SimSection, tex
 
 
 def test_a_robot_can_start_on_the_ground_around_the_plan() -> None:
-    assert loads("sim: {enabled: true, start: [-1, -1, 0]}").sim.start == (-1.0, -1.0, 0.0)
+    config: Any = loads("sim: {enabled: true, start: [-1, -1, 0]}")
+    assert config.sim.start == (-1.0, -1.0, 0.0)
