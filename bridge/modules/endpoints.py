@@ -102,6 +102,8 @@ class Subscription:
         if self._at_once:
             self._give(sample)
             return
+        if self._queue:
+            sample.data()  # a message that has to wait must not occupy the sender's memory
         with self._lock:
             self._queue.append(sample)
             full = len(self._queue) > self._depth

@@ -122,6 +122,8 @@ class RouteQueue:
     def receive(self, sample: HubSample) -> None:
         """Publish or queue a message; runs on a receiving thread."""
         size = len(sample.payload)
+        if self.line:
+            sample.data()  # a message that has to wait must not occupy the sender's memory
         with self._lock:
             if self._admits is not None and not self._admits(sample):
                 return

@@ -11,7 +11,7 @@
 #include <structmember.h>
 
 #ifndef _WIN32 /* Windows has no lanes */
-#include "program.h"
+#include "../messages/transcode/program.h"
 
 enum { MAX_BOUNDS = 15 };
 

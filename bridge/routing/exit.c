@@ -12,7 +12,7 @@
 #include <structmember.h>
 
 #ifndef _WIN32 /* Windows has no lanes */
-#include "program.h"
+#include "../messages/transcode/program.h"
 
 enum { LATENCIES = 512, MAX_BOUNDS = 15, MAX_SIZE = 64 * 1024 };
 

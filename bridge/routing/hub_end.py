@@ -170,6 +170,7 @@ class HeldSamples:
 
     def add_unknown(self, sample: HubSample) -> None:
         """Hold a sample of an unclassified publisher, after the older samples."""
+        sample.data()  # it must not occupy the sender's memory
         self.unknown.add(sample.gid, sample, len(sample.payload))
 
     def add_latched(self, sample: HubSample, endpoint: HubEndpoint) -> None:

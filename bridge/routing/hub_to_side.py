@@ -11,9 +11,11 @@ from typing_extensions import override
 from bridge.hub.endpoints.subscription import HubSample, HubSubscription
 from bridge.hub.graph import HubEndpoint
 from bridge.hub.graph.tokens import Origin
+from bridge.hub.lane.lent import LentPayload
 from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.errors import MessageError
 from bridge.messages.transcode.conversion import Conversion
+from bridge.messages.transcode.copies import copied
 from bridge.routing.backlog import HeldMessage
 from bridge.routing.counters import LATENCY_BOUNDS
 from bridge.routing.decision import OWN_NETWORK, RouteDecision, RouteKey, hub_groups
@@ -27,14 +29,12 @@ from bridge.routing.rewrites import TF_TYPE, with_spread
 from bridge.routing.route import EngineContext, RouteSet, TopicRoute
 from bridge.routing.rules import RoutePolicy
 from bridge.routing.shortcut import Exit
-from bridge.routing.side_publishers import SidePublishers
+from bridge.routing.side_publishers import STATIC, SidePublishers
 from bridge.routing.velocities import native_velocities, preferred_type, velocity_to_side
 from bridge.status import RouteStatus
 
 PENDING_SECONDS = 2.0
 """Seconds for which a message from an unknown publisher is held."""
-
-_STATIC = "static transforms"
 
 
 class HubToSideRoute(TopicRoute):
@@ -281,24 +281,45 @@ class HubToSideRoute(TopicRoute):
             self.counters.dropped("unknown")
             return
         try:
-            data, name = sample.data(), sample.gid.hex()
-            if source.latched and sample.gid != source.endpoint.gid:
-                publishers.add_invented(source.endpoint.gid, sample.gid)
-            if source.latched and publishers.static is not None:
-                data, name = publishers.static.merge(data), _STATIC
-            if self.conversion.convert is not None:
-                data = self.conversion.convert(data)
-            if self.too_large(len(data)):
-                return
-            publisher.send(data, name)
+            lent = sample.payload  # it stays valid while it is referenced
+            if source.latched or not isinstance(lent, LentPayload):
+                size = self._send(publisher, sample, source)
+            else:
+                size = self._send_lent(publisher, lent, sample.gid.hex())
         except (MessageError, ValueError) as err:
             self.bad(str(err))
             return
-        self.counters.crossed(len(data))
+        if size is None:
+            return
+        self.counters.crossed(size)
         # A message cached for late joiners has no latency to count. Compare monotonic times: the clock may be set.
         latency = time.time_ns() - sample.source_time_ns
         if time.monotonic() - latency / 1e9 >= self._subscription.since:
             self.counters.add_latency(latency)
+
+    def _send(self, publisher: EdgePublisher, sample: HubSample, source: HubSource) -> int | None:
+        """Convert and publish a message; return its size, None if it is too large."""
+        data, name, publishers = sample.data(), sample.gid.hex(), self._publishers
+        if source.latched and sample.gid != source.endpoint.gid:
+            publishers.add_invented(source.endpoint.gid, sample.gid)
+        if source.latched and publishers.static is not None:
+            data, name = publishers.static.merge(data), STATIC
+        if self.conversion.convert is not None:
+            data = self.conversion.convert(data)
+        if self.too_large(len(data)):
+            return None
+        publisher.send(data, name)
+        return len(data)
+
+    def _send_lent(self, publisher: EdgePublisher, lent: LentPayload, name: str) -> int | None:
+        """Convert and publish a message from the writer's memory; return its size, None if it is too large."""
+        data = self._direct.read(lent.view)
+        if self.too_large(len(data)):
+            return None
+        if isinstance(data, memoryview) and not getattr(publisher, "accepts_views", False):
+            data = copied(data)
+        publisher.send(data, name)  # type: ignore[arg-type]  # a view only if it is accepted
+        return len(data)
 
     @property
     @override

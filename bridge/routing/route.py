@@ -14,6 +14,7 @@ from bridge.messages.actions import split
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.registry import Registry
 from bridge.messages.transcode.conversion import Conversion, native_program
+from bridge.messages.transcode.direct import DirectConversion
 from bridge.messages.velocities import VELOCITIES
 from bridge.resources import OUT, RAISE
 from bridge.routing.admission import TopicAdmission
@@ -156,6 +157,7 @@ class TopicRoute(Route, TopicAdmission):
         TopicAdmission.__init__(self, names, hub.name, policy, self.counters, context.stall_detector)
         self.conversion = conversion
         self._program = None if conversion.convert is None else native_program(conversion.convert)
+        self._direct = DirectConversion(conversion.convert)
         self._priority = Priority.STREAM
         self._qos = Qos()
         self._lease = context.lease

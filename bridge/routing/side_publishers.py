@@ -11,6 +11,9 @@ from bridge.routing.rewrites import StaticTransforms
 MAX_INVENTED = 64
 """Maximum number of GIDs that one latched source may invent."""
 
+STATIC = "static transforms"
+"""The name of the source of merged static transforms."""
+
 
 class SidePublishers:
     """A route's publishers on the side: ``latched`` retains the last messages of each source, ``volatile`` does not.

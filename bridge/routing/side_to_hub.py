@@ -15,6 +15,7 @@ from bridge.concurrency import BoundedQueue
 from bridge.hub.endpoints.publisher import HubPublisher
 from bridge.hub.errors import HubError
 from bridge.hub.graph.tokens import TAPS
+from bridge.hub.lane.blocks import StoredMessage
 from bridge.hub.wire.keys import topic_key
 from bridge.hub.wire.qos import LATCHED, Durability, Qos, Reliability
 from bridge.messages.errors import MessageError
@@ -105,7 +106,7 @@ class SideToHubRoute(TopicRoute):
         self.pending = Backlog[_Held](MAX_PENDING, QUEUE_BYTES, self.crowded_out)
         self._releasing = threading.Lock()
         self._subscription: EdgeSubscription | None = None
-        self._hold = context.hold
+        self._hold, self._own_threads = context.hold, context.edge.own_threads
         depth = policy.depth or QUEUE_DEPTH[self._priority]
         name = f"midspan-in{self.side_topic}"
         self._queues = False  # until the first large message
@@ -247,7 +248,7 @@ class SideToHubRoute(TopicRoute):
         if publisher is None or publisher.latched or held or since > self._lease.until:
             self._deliver_rare(publisher, payload, source, time_ns)
         else:
-            self._pass(publisher, source, payload, time_ns, since)
+            self._pass(publisher, source, payload, time_ns, since, at_once=self._own_threads)
 
     def _deliver_rare(self, publisher: _SidePublisher | None, payload: bytes, source: str, time_ns: int | None) -> None:
         """Handle a message that is latched, from an unknown publisher, without the lease, or newer than held ones."""
@@ -279,8 +280,14 @@ class SideToHubRoute(TopicRoute):
     def _is_blocked(self) -> bool:
         return self._hold is not None and self._hold.blocks(self.hub_topic)
 
-    def _pass(self, publisher: _SidePublisher, source: str, payload: bytes, time_ns: int | None, since: float) -> None:
-        """Publish a known publisher's message, which arrived at ``since`` (monotonic), unless it has to be dropped."""
+    def _pass(
+        self, publisher: _SidePublisher, source: str, payload: bytes, time_ns: int | None, since: float,
+        *, at_once: bool = False,
+    ) -> None:  # fmt: skip
+        """Publish a known publisher's message, which arrived at ``since`` (monotonic), unless it has to be dropped.
+
+        ``at_once``: the calling thread may publish large messages if that cannot block: no zenoh subscription exists.
+        """
         size = len(payload)
         if self._hold is not None and self._is_blocked():
             self.counters.dropped("held")
@@ -288,7 +295,9 @@ class SideToHubRoute(TopicRoute):
             self.counters.dropped("stale")
         elif (self._limit is not None and self.over_rate(latched=publisher.latched)) or self.too_large(size):
             return
-        elif size > BULK or (self._queues and self._large.busy):
+        elif (self._queues and self._large.busy) or (
+            size > BULK and not (at_once and publisher.hub_publisher.blocks() is not None)
+        ):
             self._queues = True
             if self._doorway is not None:
                 self._doorway.open = False  # small messages would overtake this one
@@ -304,19 +313,35 @@ class SideToHubRoute(TopicRoute):
             self.counters.dropped("unknown")  # the publisher left meanwhile
 
     def _carry(self, payload: bytes, publisher: _SidePublisher, time_ns: int | None, since: float) -> None:
+        data: bytes | StoredMessage = payload
         try:
-            convert = self.conversion.convert
-            data = payload if convert is None else convert(payload)
+            data = self._converted(payload, publisher)
             size = len(data)
             if self.too_large(size):
                 return
-            publisher.put(data, time_ns)
+            if isinstance(data, bytes):
+                publisher.put(data, time_ns)
+            else:
+                publisher.hub_publisher.put(data, time_ns)
         except (MessageError, HubError, ValueError) as err:
             self.bad(str(err))
             return
+        finally:
+            if isinstance(data, StoredMessage):
+                data.release()
         self.counters.carried(size, since)
-        if self._tells_time:
+        if self._tells_time and isinstance(data, bytes):
             self._context.edge.clock.receive(data)
+
+    def _converted(self, payload: bytes, publisher: _SidePublisher) -> bytes | StoredMessage:
+        """Return a converted message, a large one in a block of the lane if all subscriptions are on lanes."""
+        blocks = publisher.hub_publisher.blocks() if len(payload) > BULK else None
+        if blocks is None:
+            convert = self.conversion.convert
+            return payload if convert is None else convert(payload)
+        stored = StoredMessage(blocks)
+        converted = self._direct.write(payload, stored.room)
+        return stored if converted is None else converted
 
     @property
     @override

@@ -10,10 +10,11 @@ from typing import Any, NamedTuple, cast
 
 import pytest
 
+from bridge.hub.lane.blocks import Blocks
 from bridge.hub.lane.joining import Joining
 from bridge.hub.lane.links import Epoch, Sender
 from bridge.hub.lane.outlet import Outlet, ReaderLink
-from bridge.hub.lane.wire import DATA
+from bridge.hub.lane.wire import BLOCK, BODY, DATA, LOAN, SIZE
 from bridge.hub.wire.keys import pack_attachment
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.transcode.conversion import Conversion, SideType
@@ -55,6 +56,9 @@ class Publisher:
         if not self.sender.is_quiet():
             self.on_zenoh.append((number, payload))
 
+    def blocks(self) -> None:
+        """Return None: every message is put as bytes."""
+
     def close(self) -> None:
         self.sender.direct = False
 
@@ -62,7 +66,7 @@ class Publisher:
 class Outcome(NamedTuple):
     """What a route has published and counted."""
 
-    on_lane: list[LaneMessage | bytes]  # bytes: a record with part of a message
+    on_lane: list[LaneMessage | bytes]  # bytes: another record
     on_zenoh: list[list[tuple[int, bytes]]]
     counters: dict[str, Any]
     waits: list[bool]
@@ -75,7 +79,7 @@ class RouteToLane:
     def __init__(self, convert: Callable[[bytes], bytes] | None) -> None:
         self.lane, self.epoch, self.lease, self.wakes = RecordedLane(), Epoch(), Lease(), 0
         self.waits: list[bool] = []
-        self.link = ReaderLink(self.lane.near, self.waits.append)
+        self.link = ReaderLink(self.lane.near, self.waits.append, Blocks(lambda *_: None))
         self.outlet = self.link.outlets[1] = Outlet(self.link, 1, "key")
         self.outlet.depth = 50
         self.publishers: list[Publisher] = []
@@ -84,7 +88,9 @@ class RouteToLane:
         context = SimpleNamespace(
             small=None, bulk=None, hold=None, lease=self.lease, stall_detector=None, wake=self.wake,
             hub=SimpleNamespace(max_payload=2 * BULK, publisher=self.publisher),
-            edge=SimpleNamespace(clock=SimpleNamespace(simulated=False), subscribe=self.subscribe),
+            edge=SimpleNamespace(
+                clock=SimpleNamespace(simulated=False), subscribe=self.subscribe, own_threads=False
+            ),
         )  # fmt: skip
         self.route = SideToHubRoute(
             RouteKey(TOPIC, TYPE, SIDE.type_id), TOPIC, Conversion(SIDE, SIDE, convert),
@@ -129,6 +135,10 @@ class RouteToLane:
                 self.received += [
                     m._replace(time_ns=m.time_ns if m.time_ns <= EVENTS else 0) for m in lane_messages(record)
                 ]
+            elif record[0] == BLOCK:
+                size, loan, _ = LOAN.unpack_from(record, BODY)
+                self.received.append(record[:BODY] + SIZE.pack(size))
+                self.link.on_free(loan)
             else:
                 self.received.append(record)
 

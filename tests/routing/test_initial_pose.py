@@ -35,7 +35,7 @@ JOINT = cast(
         lease=Lease(),
         stall_detector=None,
         hub=SimpleNamespace(max_payload=1000),
-        edge=SimpleNamespace(clock=SimpleNamespace(simulated=False)),
+        edge=SimpleNamespace(clock=SimpleNamespace(simulated=False), own_threads=False),
     ),
 )
 

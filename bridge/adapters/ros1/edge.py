@@ -57,6 +57,7 @@ class Ros1Edge(SideEdge):
     side: ClassVar[str] = "ros1"
     awaited: ClassVar[str] = "the ROS master"
     services: ClassVar[bool] = True
+    own_threads: ClassVar[bool] = True
     outlives_network: ClassVar[bool] = True
     one_queue: ClassVar[bool] = True
 

@@ -183,16 +183,16 @@ class Taker:
         _rcutils.rcutils_uint8_array_fini(self.buffer)
 
 
-def publish(publisher: int, payload: bytes) -> None:
+def publish(publisher: int, payload: bytes | memoryview) -> None:
     """Publish CDR bytes through ``rcl_publisher_t *``."""
     code = _publish(_PUBLISH, publisher, payload, LARGE)
     if code != RET_OK:
         raise RclError("rcl_publish_serialized_message", code)
 
 
-def _publish_by_ctypes(_function: int, publisher: int, payload: bytes, large: int) -> int:
+def _publish_by_ctypes(_function: int, publisher: int, payload: bytes | memoryview, large: int) -> int:
     """Publish as `taking.publish` does."""
-    size = len(payload)
+    payload, size = bytes(payload), len(payload)
     library = _rcl if size >= large else _rcl_held
     return int(library.rcl_publish_serialized_message(publisher, byref(_Content(payload, size, size)), None))
 

@@ -559,22 +559,23 @@ static PyType_Spec queue_spec = {
 static PyObject *publish(PyObject *Py_UNUSED(module), PyObject *args)
 {
     unsigned long long function, publisher;
-    const char *payload;
-    Py_ssize_t size, large;
-    if (!PyArg_ParseTuple(args, "KKy#n", &function, &publisher, &payload, &size, &large)) {
+    Py_buffer payload;
+    Py_ssize_t large;
+    if (!PyArg_ParseTuple(args, "KKy*n", &function, &publisher, &payload, &large)) {
         return NULL;
     }
     typedef int32_t (*Publish)(const void *publisher, const Bytes *message, void *allocation);
     Publish call = (Publish)(uintptr_t)function; /* rcl_publish_serialized_message */
-    Bytes message = {(char *)payload, (size_t)size, (size_t)size, {{NULL}}};
+    Bytes message = {payload.buf, (size_t)payload.len, (size_t)payload.len, {{NULL}}};
     int32_t code;
-    if (size < large) {
+    if (payload.len < large) {
         code = call((const void *)(uintptr_t)publisher, &message, NULL);
     } else {
         Py_BEGIN_ALLOW_THREADS
         code = call((const void *)(uintptr_t)publisher, &message, NULL);
         Py_END_ALLOW_THREADS
     }
+    PyBuffer_Release(&payload);
     return PyLong_FromLong(code);
 }
 

@@ -4,7 +4,7 @@ from bridge.adapters.ros2.loop import EndpointReader
 
 ON_NEW_MESSAGES: int
 
-def publish(function: int, publisher: int, payload: bytes, large: int, /) -> int: ...
+def publish(function: int, publisher: int, payload: bytes | memoryview, large: int, /) -> int: ...
 
 class Queue:
     def __init__(

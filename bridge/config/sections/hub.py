@@ -81,11 +81,13 @@ class HubSection(Section):
         " (peer, client), connect, listen, transport/link/tls, access_control.",
     )
     router_zenoh: dict[str, Any] | Path | None = setting(None, "The same for the daemon's router.")
-    shared_memory: bool = setting(True, "Send large messages between this machine's workers through shared memory.")
+    shared_memory: bool = setting(
+        True, "Send large messages on zenoh between this machine's sessions through shared memory."
+    )
     lane: bool = setting(
         True,
-        "Send small messages between the daemon's own workers over a Unix socket in the state folder, if the system has"
-        " such sockets (Linux); `false`: send all messages over zenoh.",
+        "Send messages between the daemon's own workers over a Unix socket in the state folder, if the system has such"
+        " sockets (Linux); `false`: send all messages over zenoh.",
     )
 
     @property

@@ -1,4 +1,4 @@
-"""A subscription that receives small messages over the lanes of this daemon's other workers, and others over zenoh.
+"""A subscription that receives over the lanes of this daemon's other workers if it can, and else over zenoh.
 
 It chooses the transport per topic: while all of the topic's publishers are workers of this daemon, it has no subscriber
 on zenoh, so that their puts cost little. During a switch, messages arrive over both transports. The subscription then
@@ -29,8 +29,8 @@ from bridge.hub.endpoints.variants import ConvertedSample
 from bridge.hub.graph import HubEndpoint
 from bridge.hub.lane.inlet import Inlet
 from bridge.hub.lane.lane import Lane
+from bridge.hub.lane.lent import LentPayload
 from bridge.hub.lane.numbering import Receiver
-from bridge.hub.lane.wire import BOUND
 from bridge.hub.wire.keys import ANY_HASH, key_type
 from bridge.hub.wire.qos import History, Qos
 
@@ -157,7 +157,6 @@ class LaneSubscription(HubSubscription):
         self._patient = qos.history is not History.KEEP_LAST or qos.depth > 1
         self._delivery = Lock()
         self._lanes = Lanes()
-        self._large = False
         self._by_lane = 0
         self.receiver: Receiver | None = None
         super().__init__(context, token, key, topic, callback, on_refused, exact=exact)
@@ -221,10 +220,8 @@ class LaneSubscription(HubSubscription):
                     self._schedule()
             for deliverable in ready:
                 self._callback(deliverable)
-        if len(message.payload) > BOUND:
-            self.on_large_message()
 
-    def on_message(self, inlet: Inlet, attachment: tuple[int, int, bytes], payload: bytes) -> None:
+    def on_message(self, inlet: Inlet, attachment: tuple[int, int, bytes], payload: bytes | LentPayload) -> None:
         """Handle a message from a lane."""
         reader = self._reader
         if reader.closed:
@@ -288,12 +285,6 @@ class LaneSubscription(HubSubscription):
             self._lanes.on_fence(inlet)
         self._lane.wake(self)
 
-    def on_large_message(self) -> None:
-        """Switch to zenoh after a message that is too large for the lane."""
-        if not self._large:
-            self._large = True
-            self._lane.wake(self)
-
     def on_disconnected(self, inlet: Inlet) -> None:
         """Handle the end of a connection."""
         if inlet in self._lanes.inlets:
@@ -345,8 +336,6 @@ class LaneSubscription(HubSubscription):
         ]
 
     def _why_zenoh(self, publishers: list[HubEndpoint]) -> str:
-        if self._large:
-            return f"a message was larger than {BOUND} bytes"
         if not publishers:
             return "no other worker publishes it"
         for publisher in publishers:

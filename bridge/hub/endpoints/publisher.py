@@ -14,9 +14,11 @@ from bridge.hub.endpoints.sinks import LatchedSink, PlainSink, PublisherOptions,
 from bridge.hub.endpoints.variants import Variants
 from bridge.hub.errors import HubClosedError, HubError, zenoh_reason
 from bridge.hub.graph.tokens import gid_of
+from bridge.hub.lane.blocks import Blocks, StoredMessage
 from bridge.hub.lane.joining import MAX_LINKS
 from bridge.hub.lane.numbering import Sender
 from bridge.hub.lane.outlet import Outlet
+from bridge.hub.lane.wire import BOUND
 from bridge.hub.lane.writer import LaneWriter
 from bridge.hub.wire.keys import ATTACHMENT, GID_SIZE, key_type, key_variant
 from bridge.hub.wire.qos import Qos
@@ -88,9 +90,18 @@ class HubPublisher:
         """Number of messages sent on at least one lane."""
         return self.sender.by_lane
 
-    def put(self, payload: bytes, source_time_ns: int | None = None) -> None:
+    def blocks(self) -> Blocks | None:
+        """Return where to write a large message before it is `put`, instead of in bytes; None if that is no use.
+
+        It saves a copy if all subscriptions are on lanes.
+        """
+        lanes_only = self._outlets and not self._command and self.sender.is_quiet()
+        return self._writer.blocks if lanes_only and self._writer is not None else None
+
+    def put(self, payload: bytes | StoredMessage, source_time_ns: int | None = None) -> None:
         """Publish CDR bytes, which begin with the encapsulation header.
 
+        ``payload`` may be a large message in one of `blocks`, which the caller still releases.
         ``source_time_ns`` is the message's source timestamp (system time), by default now. Raises `HubClosedError` if
         the publisher or its session is closed, and `HubError` if the message is larger than the hub's limit.
         """
@@ -109,16 +120,34 @@ class HubPublisher:
             try:
                 attachment = _pack(sender.next(), source_time_ns, GID_SIZE, self.gid)
                 if self._outlets:
-                    sender.by_lane += 1
-                    for outlet in self._outlets:
-                        outlet.send(attachment, payload)
+                    self._send_on_lanes(payload, attachment)
                 if not sender.is_quiet():
                     self._send_on_keys(payload, attachment)
             finally:
                 sender.busy = False
 
-    def _send_on_keys(self, payload: bytes, attachment: bytes) -> None:
+    def _send_on_lanes(self, payload: bytes | StoredMessage, attachment: bytes) -> None:
+        self.sender.by_lane += 1
+        if isinstance(payload, StoredMessage):
+            self._lend(payload, attachment)
+        elif len(payload) > BOUND and (stored := self._stored_message(payload)) is not None:
+            self._lend(stored, attachment)
+            stored.release()
+        else:
+            for outlet in self._outlets:
+                outlet.send(attachment, payload)
+
+    def _stored_message(self, payload: bytes) -> StoredMessage | None:
+        return None if self._writer is None else self._writer.blocks.store(payload)
+
+    def _lend(self, stored: StoredMessage, attachment: bytes) -> None:
+        for outlet in self._outlets:
+            outlet.lend(attachment, stored)
+
+    def _send_on_keys(self, payload: bytes | StoredMessage, attachment: bytes) -> None:
         matches, epoch, reached = self.sender.matches, self._graph.epoch.value, False
+        if isinstance(payload, StoredMessage):  # a subscription has just appeared
+            payload = payload.to_bytes()
         try:
             for sink in self._sinks:
                 if sink.send(payload, attachment):

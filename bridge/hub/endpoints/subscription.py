@@ -16,6 +16,7 @@ from bridge.hub.endpoints.subscribed_keys import SubscribedKeys
 from bridge.hub.endpoints.variants import CONVERTED, RELAYED, Convert, ConvertedSample
 from bridge.hub.errors import HubWireError
 from bridge.hub.graph import HubGraph
+from bridge.hub.lane.lent import LentPayload
 from bridge.hub.lane.numbering import Track
 from bridge.hub.wire.keys import ANY_HASH, GID_SIZE, key_type, unpack_attachment
 from bridge.hub.zenoh_compat import keep_thread_state, subscribe, undeclare
@@ -48,14 +49,16 @@ class HubSample:
     """A received message.
 
     Attributes:
-        payload: zenoh's buffer, which is not copied yet, or the bytes from a lane.
+        payload: zenoh's buffer or a message that a lane has lent, which is not copied yet, or the bytes from a lane.
         gid: the publisher's 16-byte id.
         zid: the publisher's session, "" if it is unknown.
     """
 
     __slots__ = ("gid", "payload", "sequence", "source_time_ns", "zid")
 
-    def __init__(self, payload: zenoh.ZBytes | bytes, sequence: int, source_time_ns: int, gid: bytes, zid: str) -> None:
+    def __init__(
+        self, payload: zenoh.ZBytes | LentPayload | bytes, sequence: int, source_time_ns: int, gid: bytes, zid: str
+    ) -> None:
         self.payload = payload
         self.sequence = sequence
         self.source_time_ns = source_time_ns
@@ -65,7 +68,9 @@ class HubSample:
     def data(self) -> bytes:
         """Return the payload: CDR with its encapsulation header."""
         payload = self.payload
-        return payload if isinstance(payload, bytes) else payload.to_bytes()
+        if not isinstance(payload, bytes):
+            payload = self.payload = payload.to_bytes()
+        return payload
 
 
 class PublisherState(Track):

@@ -24,12 +24,15 @@ class LaneConnections:
         retry: called after a failure that may not last.
         gone: called with the session (zid) whose connection has ended.
         disconnected: called with each connection that has ended.
+        later: calls a function after some seconds.
     """
 
     def __init__(
-        self, path: Path, retry: Callable[[], None], gone: Callable[[str], None], disconnected: Callable[[Inlet], None]
-    ) -> None:
+        self, path: Path, retry: Callable[[], None], gone: Callable[[str], None], disconnected: Callable[[Inlet], None],
+        later: Callable[[float, Callable[[], None]], None],
+    ) -> None:  # fmt: skip
         self._folder, self._retry, self._gone, self._disconnected = path, retry, gone, disconnected
+        self._later = later
         self._lock = Lock()
         self._inlets: dict[str, Inlet] = {}
         self._refused: dict[str, tuple[float, str]] = {}
@@ -52,7 +55,7 @@ class LaneConnections:
                 reason = folder.other_version(self._folder, zid) or "it has no lane here"
             self._refuse(zid, reason, may_recover=exists)
             return reason
-        inlet = Inlet(sock, zid, self._lost)
+        inlet = Inlet(sock, zid, self._lost, self._later)
         with self._lock:
             self._refused.pop(zid, None)
             self._inlets[zid] = inlet

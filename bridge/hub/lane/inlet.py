@@ -4,19 +4,25 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import os
 import socket
 import time
 from collections.abc import Callable
+from functools import partial
 from threading import Lock, Thread
 from typing import Protocol
 
 from bridge.hub.errors import HubWireError
+from bridge.hub.lane.lent import LentPayload, Mapped
 from bridge.hub.lane.numbering import Receiver, read_lane
 from bridge.hub.lane.wire import (
+    BLOCK,
     BODY,
     DATA,
     FENCE,
+    FREE,
     HEAD,
+    LOAN,
     MARK,
     OFF,
     ON,
@@ -39,7 +45,7 @@ class LaneReader(Protocol):
     receiver: Receiver | None
     """Handles plain messages instead of `on_message`, if it is the only subscription to its key."""
 
-    def on_message(self, inlet: Inlet, attachment: tuple[int, int, bytes], payload: bytes) -> None:
+    def on_message(self, inlet: Inlet, attachment: tuple[int, int, bytes], payload: bytes | LentPayload) -> None:
         """Handle a message; ``attachment`` is its number, source time and publisher (GID), ``payload`` is CDR."""
 
     def on_mark(self, inlet: Inlet, gid: bytes, sequence: int) -> None:
@@ -47,9 +53,6 @@ class LaneReader(Protocol):
 
     def on_fence(self, inlet: Inlet) -> None:
         """Handle a returned fence: everything sent on this lane before the call of `Inlet.fence` has arrived."""
-
-    def on_large_message(self) -> None:
-        """Handle the first part of a message that is too large for the lane."""
 
 
 class _Key:
@@ -64,7 +67,11 @@ class _Key:
 
 
 class Inlet:
-    """A connection to one writing session; ``lost`` is called when it ends. Safe to use from any thread.
+    """A connection to one writing session. Safe to use from any thread.
+
+    Args:
+        lost: called when the connection ends.
+        later: calls a function after some seconds.
 
     Attributes:
         zid: the writing session.
@@ -73,11 +80,15 @@ class Inlet:
         answered: whether a mark, fence or part was received yet.
     """
 
-    def __init__(self, sock: socket.socket, zid: str, lost: Callable[[Inlet], None]) -> None:
+    def __init__(
+        self, sock: socket.socket, zid: str, lost: Callable[[Inlet], None],
+        later: Callable[[float, Callable[[], None]], None],
+    ) -> None:  # fmt: skip
         self.zid = zid
         self.since = time.monotonic()
         self.alive, self.answered = True, False
         self._sock, self._lost = sock, lost
+        self._mapped = Mapped(later)
         self._lock = Lock()
         self._keys: dict[str, _Key] = {}
         self._numbers: dict[int, _Key] = {}
@@ -153,22 +164,47 @@ class Inlet:
         finally:
             self.close()
             self._sock.close()
+            self._mapped.close()
             self._lost(self)
 
     def _read(self) -> None:
-        while record := self._sock.recv(ROOM):
-            if record[0] == DATA:
+        while True:
+            record, files, _, _ = socket.recv_fds(self._sock, ROOM, 1, socket.MSG_CMSG_CLOEXEC)
+            if not record:
+                return
+            if record[0] == DATA and not files:
                 self._messages(record)
             else:
-                self._record(record)
+                self._record(record, files[0] if files else -1)
 
-    def _record(self, record: bytes) -> None:
-        """Handle a record without messages."""
+    def _record(self, record: bytes, file: int) -> None:
+        """Handle a record without messages, and the file that came with it; -1 if there is none."""
         kind, number = HEAD.unpack_from(record)
         key = self._numbers.get(number)
+        try:
+            payload = self._lent(record, file) if kind == BLOCK else None
+        finally:
+            if file >= 0:
+                os.close(file)
         if key is not None:
             self.answered = True
-            self._other(kind, key, record[HEAD.size : BODY], record)
+            if payload is not None:
+                self._hand(key, unpack_attachment(record[HEAD.size : BODY]), payload)
+            elif kind != BLOCK:
+                self._other(kind, key, record[HEAD.size : BODY], record)
+
+    def _lent(self, record: bytes, file: int) -> LentPayload | bytes | None:
+        """Return a message in a block, which is given back when all readers have dropped the message.
+
+        None if this process had no descriptor left; the message is counted as lost when the next one arrives.
+        """
+        size, loan, block = LOAN.unpack_from(record, BODY)
+        give_back = partial(self._send, HEAD.pack(FREE, loan))
+        view = self._mapped.view(block, file, size)
+        if isinstance(view, memoryview):
+            return LentPayload(view, give_back)
+        give_back()
+        return view
 
     def _messages(self, record: bytes) -> None:
         """Deliver the messages in a record."""
@@ -186,7 +222,7 @@ class Inlet:
         if key is not None:
             self._hand(key, attachment, payload)
 
-    def _hand(self, key: _Key, message: tuple[int, int, bytes], payload: bytes) -> None:
+    def _hand(self, key: _Key, message: tuple[int, int, bytes], payload: bytes | LentPayload) -> None:
         for reader in key.readers:
             try:
                 reader.on_message(self, message, payload)
@@ -214,8 +250,6 @@ class Inlet:
         piece = record[BODY + PIECE.size :]
         if at == 0 and whole <= MAX_PAYLOAD:
             key.parts[gid] = (sequence, bytearray())
-            for reader in key.readers:
-                reader.on_large_message()
         number, data = key.parts.get(gid, (0, bytearray()))
         if number != sequence or len(data) != at:  # the beginning was dropped
             return

@@ -14,6 +14,7 @@ import zenoh
 from bridge.concurrency import DelayedCalls
 from bridge.hub.lane import folder
 from bridge.hub.lane.barriers import LaneBarriers
+from bridge.hub.lane.blocks import Blocks
 from bridge.hub.lane.connections import AGAIN_SECONDS, LaneConnections
 from bridge.hub.lane.inlet import Inlet
 from bridge.hub.lane.writer import LaneWriter
@@ -58,17 +59,19 @@ class Lane:
         self._choosing: dict[Choosing, None] = {}
         self._to_check: dict[Choosing, None] = {}
         self._wake, self._closing = Event(), Event()
+        self.calls = DelayedCalls("hub-lane-calls")
         self.writer: LaneWriter | None = None
         self.why = ""
         folder.clean(path)  # before the writer listens, because it would count the check of its socket as a reader
         try:
-            self.writer = LaneWriter(path, zid)
+            self.writer = LaneWriter(path, zid, Blocks(self.calls.after))
         except OSError as err:
             self.why = f"{path}: {err.strerror or err}"
             _log.warning("this worker has no lane, its messages use zenoh: %s", self.why)
-        self.calls = DelayedCalls("hub-lane-calls")
         self.barriers = LaneBarriers(zid, session, domain, renew)
-        self.connections = LaneConnections(path, self._check_later, self.barriers.forget, self._on_disconnected)
+        self.connections = LaneConnections(
+            path, self._check_later, self.barriers.forget, self._on_disconnected, self.calls.after
+        )
         self._thread = Thread(target=self._run, name="hub-lane", daemon=True)
         self._thread.start()
 

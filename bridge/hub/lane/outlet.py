@@ -10,15 +10,17 @@ from collections.abc import Callable
 from functools import partial
 from threading import Lock
 
+from bridge.hub.lane.blocks import Blocks, StoredMessage
 from bridge.hub.lane.joining import MAX_JOINED_BYTES
+from bridge.hub.lane.loans import MAX_LOANS, Loans
 from bridge.hub.lane.numbering import Link
-from bridge.hub.lane.wire import BOUND, DATA, FENCE, HEAD, MARK, PART, PIECE, SAMPLE, SIZE, TOKEN
+from bridge.hub.lane.wire import BLOCK, BOUND, DATA, FENCE, HEAD, LOAN, MARK, PART, PIECE, SAMPLE, SIZE, TOKEN
 from bridge.hub.wire.keys import ATTACHMENT_SIZE, pack_attachment
 
 _size = SIZE.pack
-_NO_MEMORY = (errno.ENOBUFS, errno.ENOMEM)
+_NO_MEMORY = (errno.ENOBUFS, errno.ENOMEM, errno.ETOOMANYREFS)
 
-MAX_WAITING = 32 << 20
+MAX_WAITING = 64 << 20
 """Maximum number of bytes queued for one reader; the newest message of each key is queued in any case."""
 
 
@@ -41,17 +43,19 @@ class Outlet:
         depth: maximum number of queued messages.
         dropped: number of dropped messages.
         fences: number of fences among the queued messages.
+        loans: number of messages lent to the reader.
         head: the beginning of each of its messages' records.
         send: sends, joins (`bridge.hub.lane.joining`) or queues a message, given attachment and payload; never blocks.
+        lend: lends or queues a large message that is in a block; never blocks.
     """
 
     def __init__(self, link: ReaderLink, number: int, key: str) -> None:
         self.key, self.link, self.number = key, link, number
         self.command, self.depth = False, 1
         self.queue: deque[LaneMessage] = deque()
-        self.dropped = self.fences = 0
+        self.dropped = self.fences = self.loans = 0
         self.head = HEAD.pack(DATA, number)
-        self.send: Callable[[bytes, bytes], None] = partial(link.send, self)
+        self.send, self.lend = partial(link.send, self), partial(link.lend, self)
 
     def record(self, attachment: bytes, payload: bytes) -> bytes:
         """Return the record of a message."""
@@ -76,15 +80,18 @@ class ReaderLink:
         sock: a connected, non-blocking socket.
         watch: called with True when data is queued or the link has ended, and with False when the queues are empty
             again; after True, `flush` must be called when the socket is writable again.
+        blocks: the session's blocks.
     """
 
-    def __init__(self, sock: socket.socket, watch: Callable[[bool], None]) -> None:
+    def __init__(self, sock: socket.socket, watch: Callable[[bool], None], blocks: Blocks) -> None:
         self.sock = sock
         self.outlets: dict[int, Outlet] = {}
         self.dropped = 0
-        self._watch = watch
+        self._watch, self._blocks = watch, blocks
         self._lock = Lock()
+        # outlets with queued messages: those that can be sent, and those that wait until a loan ends
         self._queued: dict[Outlet, None] = {}
+        self._loans, self._parked = Loans(blocks), dict[Outlet, None]()
         self._notes: deque[bytes] = deque()
         self._bytes = 0
         self._closed = False
@@ -100,10 +107,24 @@ class ReaderLink:
                 self._queue_joined(self.fast.join(outlet.number, attachment, payload))
                 return
             self._flush_joined()
-            if not self._queued and not self._notes and size <= BOUND and self._put(outlet.record(attachment, payload)):
+            waits = self._queued or self._notes or outlet.queue or size > BOUND
+            if not waits and self._put(outlet.record(attachment, payload)):
                 return
             if not self._closed:
                 self._wait(outlet, LaneMessage(attachment, payload))
+
+    def lend(self, outlet: Outlet, attachment: bytes, stored: StoredMessage) -> None:
+        """Lend a message; see `Outlet.lend`."""
+        with self._lock:
+            if self._closed:
+                return
+            self._flush_joined()
+            may_lend = outlet.loans < MAX_LOANS and self._loans.has_room(len(stored))
+            waits = self._queued or self._notes or outlet.queue or not may_lend
+            if not waits and self._lend(outlet, attachment, stored):
+                return
+            if not self._closed:
+                self._wait(outlet, LaneMessage(attachment, stored.to_bytes()))
 
     def _unsent(self) -> None:
         """Queue the joined messages, which ``fast`` could not send."""
@@ -134,7 +155,7 @@ class ReaderLink:
     def _ready(self) -> None:
         """Let ``fast`` send, unless something else has to be sent before."""
         if self.fast is not None:
-            self.fast.ready = not (self._closed or self._queued or self._notes)
+            self.fast.ready = not (self._closed or self._queued or self._parked or self._notes)
 
     def note(self, record: bytes) -> None:
         """Send a record before all queued messages."""
@@ -168,17 +189,30 @@ class ReaderLink:
                     return
                 self._notes.popleft()
             for outlet in sorted(self._queued, key=lambda each: not each.command):
-                while outlet.queue:
+                while outlet.queue and not self._has_to_wait(outlet):
                     if not self._send_next(outlet):
                         return
                 del self._queued[outlet]
+                if outlet.queue:
+                    self._parked[outlet] = None
             self._ready()
             self._watch(False)
+
+    def on_free(self, number: int) -> None:
+        """End a loan, and send the messages that waited for it."""
+        with self._lock:
+            self._loans.end(number)
+            if not self._parked:
+                return
+            self._queued.update(self._parked)
+            self._parked.clear()
+        self.flush()
 
     def drop_queue(self, outlet: Outlet) -> None:
         """Drop the queue of a key that the reader released."""
         with self._lock:
             self._queued.pop(outlet, None)
+            self._parked.pop(outlet, None)
             self._bytes -= sum(len(message.payload) for message in outlet.queue)
             outlet.queue.clear()
             outlet.fences = 0
@@ -189,7 +223,9 @@ class ReaderLink:
         with self._lock:
             self._closed = True
             self._queued.clear()
+            self._parked.clear()
             self._notes.clear()
+            self._loans.lose()
             if self.fast is not None:
                 self.fast.close()
         with contextlib.suppress(OSError):
@@ -205,9 +241,10 @@ class ReaderLink:
             del queue[at]
             outlet.dropped += 1
             self.dropped += 1
-        if not self._queued:
-            self._watch(True)
-        self._queued[outlet] = None
+        if outlet not in self._parked:
+            if not self._queued:
+                self._watch(True)
+            self._queued[outlet] = None
         self._ready()
 
     def _send_next(self, outlet: Outlet) -> bool:
@@ -217,6 +254,9 @@ class ReaderLink:
             sent = self._put(message.fence)
         elif len(message.payload) <= BOUND:
             sent = self._put(outlet.record(message.attachment, message.payload))
+        elif (stored := self._stored(message)) is not None:
+            sent = self._lend(outlet, message.attachment, stored)
+            stored.release()
         else:
             sent = self._send_parts(outlet, message)
         if sent:
@@ -224,6 +264,26 @@ class ReaderLink:
             self._bytes -= len(message.payload)
             outlet.fences -= bool(message.fence)
         return sent
+
+    def _has_to_wait(self, outlet: Outlet) -> bool:
+        """Return whether the first message of a queue may be sent only when the reader has returned another one."""
+        message = outlet.queue[0]
+        return outlet.loans >= MAX_LOANS and len(message.payload) > BOUND and not message.at
+
+    def _stored(self, message: LaneMessage) -> StoredMessage | None:
+        """Return a queued message in a block, None if it has to be sent in parts."""
+        may_lend = not message.at and self._loans.has_room(len(message.payload))
+        return self._blocks.store(message.payload) if may_lend else None
+
+    def _lend(self, outlet: Outlet, attachment: bytes, stored: StoredMessage) -> bool:
+        """Lend a message; return False if the socket is full, or the link has ended."""
+        block, size = stored.block, len(stored)
+        assert block is not None
+        loan = LOAN.pack(size, self._loans.next, block.number)
+        if not self._put(HEAD.pack(BLOCK, outlet.number) + attachment + loan, block.file):
+            return False
+        self._loans.begin(outlet, block, size)
+        return True
 
     def _send_parts(self, outlet: Outlet, message: LaneMessage) -> bool:
         whole = len(message.payload)
@@ -235,10 +295,13 @@ class ReaderLink:
             message.at += len(piece)
         return True
 
-    def _put(self, record: bytes) -> bool:
-        """Write a record to the socket; return False if the socket is full, or the link has ended."""
+    def _put(self, record: bytes, file: int | None = None) -> bool:
+        """Write a record, with a file, to the socket; return False if the socket is full, or the link has ended."""
         try:
-            self.sock.send(record)
+            if file is None:
+                self.sock.send(record)
+            else:
+                socket.send_fds(self.sock, [record], [file])
         except BlockingIOError:
             return False
         except OSError as err:

@@ -15,6 +15,10 @@
 #include <sys/socket.h>
 #include "../../turn.h"
 
+#ifndef MSG_CMSG_CLOEXEC /* macOS, which has no lanes */
+#define MSG_CMSG_CLOEXEC 0
+#endif
+
 /* bridge.hub.lane.wire: kind, number of the key, size, number, time, length of the GID, GID; then the payload */
 enum { DATA = 1, SAMPLE = 42, GID = 16 };
 
@@ -262,28 +266,43 @@ static int handle_messages(const char *record, size_t length, PyObject *receiver
     return 0;
 }
 
-static ssize_t receive_record(int socket, char *buffer, size_t room)
+/* Receives a record, and the file that came with it, else -1. */
+static ssize_t receive_record(int socket, char *buffer, size_t room, int *file)
 {
+    union {
+        struct cmsghdr head;
+        char room[CMSG_SPACE(sizeof(int))];
+    } control;
+    struct iovec into = {buffer, room};
+    struct msghdr message;
     ssize_t length;
     Py_BEGIN_ALLOW_THREADS
     do {
-        length = recv(socket, buffer, room, 0);
+        message = (struct msghdr){.msg_iov = &into, .msg_iovlen = 1, .msg_control = &control};
+        message.msg_controllen = sizeof control;
+        length = recvmsg(socket, &message, MSG_CMSG_CLOEXEC);
     } while (length < 0 && errno == EINTR);
     Py_END_ALLOW_THREADS
+    const struct cmsghdr *head = length < 0 ? NULL : CMSG_FIRSTHDR(&message);
+    *file = -1;
+    if (head != NULL && head->cmsg_level == SOL_SOCKET && head->cmsg_type == SCM_RIGHTS) {
+        memcpy(file, CMSG_DATA(head), sizeof *file);
+    }
     return length;
 }
 
 static int read_records(int socket, char *buffer, size_t room, PyObject *receivers, PyObject *message, PyObject *other)
 {
     ssize_t length;
-    while ((length = receive_record(socket, buffer, room)) > 0) {
-        if (buffer[0] == DATA) {
+    int file;
+    while ((length = receive_record(socket, buffer, room, &file)) > 0) {
+        if (buffer[0] == DATA && file < 0) {
             if (handle_messages(buffer, (size_t)length, receivers, message) < 0) {
                 return -1;
             }
             continue;
         }
-        PyObject *done = PyObject_CallFunction(other, "y#", buffer, (Py_ssize_t)length);
+        PyObject *done = PyObject_CallFunction(other, "y#i", buffer, (Py_ssize_t)length, file);
         if (done == NULL) {
             return -1;
         }
@@ -350,7 +369,7 @@ static PyType_Spec receiver_spec = {
 
 static PyMethodDef methods[] = {
     {"read_lane", read_lane, METH_VARARGS,
-     "Read a socket until its end; call back with the messages that no receiver takes, and with other records."},
+     "Read a socket until its end; call back with the messages that no receiver takes, and with other records and files."},
     {NULL, NULL, 0, NULL},
 };
 

@@ -19,6 +19,6 @@ def read_lane(
     room: int,
     receivers: dict[int, Receiver],
     message: Callable[[int, tuple[int, int, bytes], bytes], None],
-    other: Callable[[bytes], None],
+    other: Callable[[bytes, int], None],
     /,
 ) -> None: ...

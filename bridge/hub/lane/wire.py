@@ -1,11 +1,13 @@
 """Records on a lane, each a packet of a Unix SEQPACKET socket.
 
 A record begins with its kind and the number that the reader assigned to the key. A ``DATA`` record has one or several
-messages, each with kind, number, size of the payload, attachment of the zenoh sample, payload. A ``PART`` record is a
-fragment of a message that is too large for one record: attachment, total size, offset of the fragment, the fragment. A
-``MARK`` record has an attachment, whose publisher sends all messages after the attachment's number on this lane. The
-reader requests a key with ``ON`` and the key in UTF-8, and releases it with ``OFF``. It sends a ``FENCE``, which
-the writer returns after everything that it sent before.
+messages, each with kind, number, size of the payload, attachment of the zenoh sample, payload. A ``BLOCK`` record lends
+a larger message (`bridge.hub.lane.blocks`): attachment, size of the payload, numbers of the loan and of the block, and
+the block's file; the reader ends the loan with ``FREE`` and the loan's number. Without a block, a large message is sent
+as ``PART`` records: attachment, total size, offset of the fragment, the fragment. A ``MARK`` record has an attachment,
+whose publisher sends all messages after the attachment's number on this lane. The reader requests a key with ``ON`` and
+the key in UTF-8, and releases it with ``OFF``. It sends a ``FENCE``, which the writer returns after everything that it
+sent before.
 """
 
 from __future__ import annotations
@@ -14,16 +16,17 @@ import struct
 
 from bridge.hub.wire.keys import ATTACHMENT_SIZE, GID_SIZE
 
-VERSION = 2
+VERSION = 3
 """Part of a socket's name, so that workers of different versions do not connect."""
 
 BOUND = 64 * 1024
-"""Maximum size in bytes of a payload in one record; topics with larger messages use zenoh."""
+"""Maximum size in bytes of a payload in one record; larger messages are lent, or sent in parts."""
 
-DATA, PART, MARK, FENCE, ON, OFF = range(1, 7)
+DATA, PART, MARK, FENCE, ON, OFF, BLOCK, FREE = range(1, 9)
 
 HEAD = struct.Struct("<BI")
 PIECE = struct.Struct("<II")
+LOAN = struct.Struct("<III")
 TOKEN = struct.Struct("<Q")
 SIZE = struct.Struct("<I")
 SAMPLE = struct.Struct(f"<BIIqqx{GID_SIZE}s")

@@ -13,8 +13,9 @@ from typing import Protocol
 
 from bridge.concurrency import SerialExecutor
 from bridge.hub.lane import folder
+from bridge.hub.lane.blocks import Blocks
 from bridge.hub.lane.outlet import Outlet, ReaderLink
-from bridge.hub.lane.wire import FENCE, HEAD, MAX_KEY, MAX_KEYS, OFF, ON, fits
+from bridge.hub.lane.wire import FENCE, FREE, HEAD, MAX_KEY, MAX_KEYS, OFF, ON, fits
 
 _log = logging.getLogger(__name__)
 _AGAIN_SECONDS = 0.5
@@ -35,10 +36,14 @@ class LanePublisher(Protocol):
 class LaneWriter:
     """Accepts the connections of a session's readers, attaches publishers to them, and flushes their queues.
 
+    Attributes:
+        blocks: the session's blocks.
+
     Raises `OSError` if it cannot listen.
     """
 
-    def __init__(self, path: Path, zid: str) -> None:
+    def __init__(self, path: Path, zid: str, blocks: Blocks) -> None:
+        self.blocks = blocks
         self._folder, self._zid = path, zid
         self._listener = folder.listen(path, zid)
         self._listener.setblocking(False)
@@ -91,6 +96,7 @@ class LaneWriter:
         self._ends[1].close()
         self._thread.join(2.0)
         self._joins.close()
+        self.blocks.close()
 
     def _run(self) -> None:
         try:
@@ -144,7 +150,7 @@ class LaneWriter:
         sock.setblocking(False)
         number = sock.fileno()
         self._poll.register(number, select.EPOLLIN)
-        self._links[number] = ReaderLink(sock, partial(self._watch, number))
+        self._links[number] = ReaderLink(sock, partial(self._watch, number), self.blocks)
 
     def _watch(self, number: int, waits: bool) -> None:
         with contextlib.suppress(OSError, ValueError):  # the link has just ended
@@ -162,7 +168,9 @@ class LaneWriter:
             return
         kind, key = HEAD.unpack_from(record)
         body = record[HEAD.size :]
-        if kind == ON:
+        if kind == FREE:
+            link.on_free(key)
+        elif kind == ON:
             self._joins.submit(partial(self._on, link, key, body.decode(errors="replace")))
         elif kind == FENCE:
             self._joins.submit(partial(self._fence, link, key, body))

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from bridge.hub.lane.blocks import Blocks
 from bridge.hub.lane.connections import LaneConnections
 from bridge.hub.lane.inlet import Inlet
 from bridge.hub.lane.writer import LaneWriter
@@ -21,8 +22,8 @@ def test_the_end_of_a_connection_is_reported_although_the_next_attempt_fails(tmp
         msg = "can't start new thread"
         raise RuntimeError(msg)
 
-    connections = LaneConnections(tmp_path, retry, lambda _zid: None, disconnected.append)
-    with contextlib.closing(LaneWriter(tmp_path, "abcd")):
+    connections = LaneConnections(tmp_path, retry, lambda _zid: None, disconnected.append, lambda *_: None)
+    with contextlib.closing(LaneWriter(tmp_path, "abcd", Blocks(lambda *_: None))):
         inlet = connections.inlet("abcd")
         assert isinstance(inlet, Inlet)
     until(lambda: disconnected, "the end is reported")

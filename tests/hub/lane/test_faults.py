@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from bridge.hub.lane import folder
+from bridge.hub.lane.loans import MAX_LOANS
 from bridge.hub.lane.wire import DATA, HEAD, MARK, PART, PIECE, SAMPLE, VERSION
 from bridge.hub.node import Hub
 from bridge.hub.wire.keys import pack_attachment
@@ -53,7 +54,28 @@ def test_stalled_reader_does_not_block_others(network: HubNetwork, tmp_path: Pat
         assert reader.ask("way", id=number)["lost"] == dropped
 
 
-def test_killed_reader_is_removed_and_the_next_reader_is_served(network: HubNetwork, tmp_path: Path) -> None:
+def test_stopped_reader_has_only_a_few_large_messages(network: HubNetwork, tmp_path: Path) -> None:
+    lane, count, size = str(tmp_path), 50, 1_000_000
+    with Hub.open(network.settings("writer", lane=lane)) as writer, network.hub_peer("reader", lane=lane) as reader:
+        publisher = advertise(writer, "/t")
+        number = reader.ask("subscription", topic="/t")["id"]
+        until(lambda: reader.ask("way", id=number)["way"] == "lane", "the subscription uses the lane")
+        os.kill(reader.pid, signal.SIGSTOP)
+        for each in range(count):
+            publisher.put(str(each).encode().ljust(size))
+        blocks = until(publisher.blocks, "no message uses zenoh")
+        assert blocks.size <= (MAX_LOANS + 1) * size
+        os.kill(reader.pid, signal.SIGCONT)
+
+        def texts() -> list[str]:
+            return list(reader.ask("wait", id=number, count=1, seconds=9.0)["texts"])
+
+        until(lambda: [text.strip() for text in texts()][-1:] == [str(count - 1)], "the last message has arrived")
+        assert {len(text) for text in texts()} == {size}
+
+
+@pytest.mark.parametrize("size", [1, 300_000])
+def test_killed_reader_is_removed_and_the_next_reader_is_served(network: HubNetwork, tmp_path: Path, size: int) -> None:
     lane = str(tmp_path)
     with Hub.open(network.settings("writer", lane=lane)) as writer:
         publisher = advertise(writer, "/t")
@@ -61,26 +83,27 @@ def test_killed_reader_is_removed_and_the_next_reader_is_served(network: HubNetw
             with network.hub_peer("reader", lane=lane) as reader:
                 number = reader.ask("subscription", topic="/t")["id"]
                 until(lambda n=number, r=reader: r.ask("way", id=n)["way"] == "lane", "the subscription uses the lane")
-                publisher.put(b"x")
-                assert reader.ask("wait", id=number, count=1, seconds=40.0)["texts"] == ["x"]
+                publisher.put(b"x" * size)
+                assert reader.ask("wait", id=number, count=1, seconds=40.0)["texts"] == ["x" * size]
                 os.kill(reader.pid, signal.SIGKILL)
             until(lambda: publisher.way()[0] != "lane", "the reader's lane is gone")
 
 
-def test_killed_writer_leaves_only_whole_messages(network: HubNetwork, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("size", "count"), [(60_000, 100), (1_000_000, 20)])
+def test_killed_writer_leaves_only_whole_messages(network: HubNetwork, tmp_path: Path, size: int, count: int) -> None:
     lane = str(tmp_path)
     with Hub.open(network.settings("reader", lane=lane)) as reader:
         subscriber = Subscriber(reader, "/t")
         for _ in range(2):
             with network.hub_peer("writer", lane=lane) as writer:
                 number = writer.ask("publisher", topic="/t")["id"]
-                writer.ask("drum", id=number, rate=5000.0, size=60_000)
+                writer.ask("drum", id=number, rate=3e8 / size, size=size)
                 goes_by(subscriber, "lane")
-                until(lambda: len(subscriber.samples) > 100, "the writer publishes")
+                until(lambda: len(subscriber.texts()) > count, "the writer publishes")
                 os.kill(writer.pid, signal.SIGKILL)
             goes_by(subscriber, "zenoh", "no other worker publishes it")
             texts = subscriber.texts()
-            assert {len(text) for text in texts} == {60_000}
+            assert {len(text) for text in texts} == {size}
             numbers = [int(text) for text in texts]  # at 300 MB/s some messages are dropped, which is correct
             assert numbers == sorted(set(numbers))
             subscriber.samples.clear()

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from bridge.hub.lane import outlet as module
+from bridge.hub.lane.blocks import Blocks
 from bridge.hub.lane.joining import MAX_JOINED, MAX_JOINED_BYTES, Joining, flush_joined
 from bridge.hub.lane.outlet import Outlet, ReaderLink
 from bridge.hub.lane.wire import BODY, BOUND, DATA, FENCE, HEAD, PART, PIECE, ROOM, SAMPLE, TOKEN
@@ -27,7 +28,8 @@ class Pair:
         self.far.setblocking(False)
         self.near.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 100_000)
         self.watched: list[bool] = []
-        self.link = ReaderLink(self.near, self.watched.append)
+        self.blocks = Blocks(lambda *_: None)
+        self.link = ReaderLink(self.near, self.watched.append, self.blocks)
         self.stream, self.command = Outlet(self.link, 1, "0/stream/t/h"), Outlet(self.link, 2, "0/command/t/h")
         self.link.outlets.update({1: self.stream, 2: self.command})
         self.stream.depth, self.command.command = 10, True
@@ -127,6 +129,7 @@ def test_a_fence_is_not_dropped_and_does_not_overtake(pair: Pair) -> None:
 
 
 def test_small_messages_overtake_parts_of_a_large_one(pair: Pair) -> None:
+    pair.blocks.close()
     pair.send(pair.stream, 1, 5 * BOUND + 3)
     pair.link.flush()
     pair.send(pair.command, 1)

@@ -41,6 +41,7 @@ class LaneEnd:
         self.receivers: dict[int, Any] = {KEY: self.receiver}
         self.left: list[tuple[int, tuple[int, int, bytes], bytes]] = []
         self.others: list[bytes] = []
+        self.files: list[int] = []
         self.on_left: Callable[[], object] = lambda: None
         self.on_other: Callable[[], object] = lambda: None
 
@@ -57,8 +58,9 @@ class LaneEnd:
         self.left.append((number, attachment, payload))
         self.on_left()
 
-    def _other(self, record: bytes) -> None:
+    def _other(self, record: bytes, file: int) -> None:
         self.others.append(record)
+        self.files.append(file)
         self.on_other()
 
     def numbers(self) -> list[int]:

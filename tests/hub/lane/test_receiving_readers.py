@@ -51,7 +51,7 @@ class LaneWriter:
         self.sock, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self.sock.settimeout(40)
         self.lost: list[Inlet] = []
-        self.inlet = Inlet(far, "zid", self.lost.append)
+        self.inlet = Inlet(far, "zid", self.lost.append, lambda *_: None)
         self.sequence = 0
 
     def join(self, reader: Reader) -> int:

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 import pytest
 
 from bridge.hub.lane import links
+from bridge.hub.lane.blocks import Blocks
 from bridge.hub.lane.joining import MAX_JOINED_BYTES, MAX_LINKS, Joining
 from bridge.hub.lane.links import Epoch, Sender
 from bridge.hub.lane.outlet import Outlet, ReaderLink
@@ -27,7 +28,7 @@ class QueuedLane(RecordedLane):
     def __init__(self) -> None:
         super().__init__()
         self.waits: list[bool] = []
-        self.reader_link = ReaderLink(self.near, self.waits.append)
+        self.reader_link = ReaderLink(self.near, self.waits.append, Blocks(lambda *_: None))
         self.outlet = Outlet(self.reader_link, 1, "0/t/type/hash")
         self.outlet.depth = 100_000
         self.reader_link.outlets[1] = self.outlet

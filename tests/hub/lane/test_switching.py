@@ -13,6 +13,7 @@ import pytest
 from bridge.hub.endpoints.lane_subscription import LaneSubscription
 from bridge.hub.endpoints.sinks import Matching
 from bridge.hub.endpoints.subscription import HubSample
+from bridge.hub.lane.blocks import Blocks
 from bridge.hub.lane.inlet import Inlet, LaneReader
 from bridge.hub.lane.joining import Joining
 from bridge.hub.lane.wire import BOUND
@@ -118,22 +119,43 @@ def test_joined_messages_do_not_wait_for_a_publisher_that_blocks(reader: Hub, wr
         joining.end()
 
 
-def test_topic_with_growing_messages_returns_to_zenoh(
-    reader: Hub, writer: Hub, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("blocks", [True, False], ids=["blocks", "parts"])
+def test_large_messages_use_the_lane(
+    reader: Hub, writer: Hub, monkeypatch: pytest.MonkeyPatch, *, blocks: bool
 ) -> None:
-    """The writer's session may see the declaration on zenoh before the match is reported."""
+    if not blocks:
+        monkeypatch.setattr(Blocks, "store", lambda *_: None)
+    subscriber, every = Subscriber(reader, "/t"), Subscriber(reader, "/t", type_hash="*")
+    ours = advertise(writer, "/t")
+    for receiver in (subscriber, every):
+        goes_by(receiver, "lane")
+    until(lambda: ours.way() == ("lane", ""), "the publisher uses the lane")
+    texts = ["small", "a" * (3 * BOUND), "b" * (40 * BOUND), "c" * (BOUND + 1), "d" * (100 * BOUND), "last"]
+    for text in texts:
+        ours.put(text.encode())
+    for receiver in (subscriber, every):
+        until(lambda receiver=receiver: len(receiver.samples) == len(texts), "all messages arrive")
+        assert receiver.texts() == texts
+        goes_by(receiver, "lane")
+    assert subscription(subscriber).by_lane == len(texts)
+
+
+def test_topic_returns_to_zenoh_before_the_match_is_reported(
+    network: HubNetwork, reader: Hub, writer: Hub, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The writer's session may see the declaration on zenoh before."""
     monkeypatch.setattr(Matching, "_on_changed", lambda *_: None)  # as if zenoh reported the match very late
     subscriber = Subscriber(reader, "/t")
     ours = advertise(writer, "/t")
     goes_by(subscriber, "lane")
-    texts = ["small", "x" * (3 * BOUND + 5), "y" * (40 * BOUND), "small again"]
-    for text in texts:
-        ours.put(text.encode())
-    until(lambda: len(subscriber.samples) == len(texts), "all messages arrive")
-    assert subscriber.texts() == texts
-    goes_by(subscriber, "zenoh", "a message was larger than 65536 bytes")
-    ours.put(b"by zenoh")
-    subscriber.expect(*texts, "by zenoh")
+    ours.put(b"by lane")
+    subscriber.expect("by lane")
+    with Hub.open(network.settings("foreign")) as far:
+        advertise(far, "/t")
+        goes_by(subscriber, "zenoh", "foreign: it has no lane here")
+        until(lambda: ours.way()[0] == "zenoh", "the lane has been left")
+        ours.put(b"by zenoh")
+        subscriber.expect("by lane", "by zenoh")
 
 
 def test_messages_still_on_the_way_over_zenoh_are_received_after_the_switch_to_the_lane(
@@ -173,39 +195,37 @@ def test_messages_still_on_the_way_over_zenoh_are_received_after_the_switch_to_t
 
 @pytest.mark.parametrize("depth", [10, 1])
 def test_message_that_is_still_on_a_closing_lane_is_received_before_later_ones(
-    reader: Hub, writer: Hub, monkeypatch: pytest.MonkeyPatch, depth: int
+    network: HubNetwork, reader: Hub, writer: Hub, monkeypatch: pytest.MonkeyPatch, depth: int
 ) -> None:
     """With a depth of 1, as for velocity commands, the newest message does not wait."""
     subscriber, ours, gate = Subscriber(reader, "/t", Qos(depth=depth)), advertise(writer, "/t"), threading.Event()
     chosen = subscription(subscriber)
     goes_by(subscriber, "lane")
-    receive, switch, both_put = chosen.on_message, chosen.on_large_message, threading.Event()
-    # switch to zenoh only once both messages are on the lane
-    monkeypatch.setattr(chosen, "on_large_message", lambda: both_put.wait(60) and switch())
+    receive = chosen.on_message
 
     def slow(inlet: Inlet, attachment: tuple[int, int, bytes], payload: bytes) -> None:
         assert payload != b"late" or gate.wait(60)
         receive(inlet, attachment, payload)
 
     monkeypatch.setattr(chosen, "on_message", slow)
-    large = "x" * (3 * BOUND)
-    for text in (large, "late"):
+    for text in ("first", "late"):
         ours.put(text.encode())
-    both_put.set()
-    until(lambda: ours.way()[0] == "both", "the publisher uses both transports")
-    ours.put(b"last")
-    try:
-        until(lambda: chosen._sequencer.early or len(subscriber.samples) > 1, "the last message arrives over zenoh")
-        held = time.monotonic()
-        if depth == 1:
-            subscriber.expect(large, "last", seconds=3)
-            return
-        until(lambda: time.monotonic() > held + 0.5, "the last message is held for longer than other early messages")
-    finally:
-        gate.set()
-    subscriber.expect(large, "late", "last")
-    assert subscriber.texts() == [large, "late", "last"]
-    goes_by(subscriber, "zenoh", "a message was larger than 65536 bytes")
+    with Hub.open(network.settings("foreign")) as far:
+        try:
+            advertise(far, "/t")
+            until(lambda: ours.way()[0] == "both", "the publisher uses both transports")
+            ours.put(b"last")
+            until(lambda: chosen._sequencer.early or len(subscriber.samples) > 1, "the last message arrives over zenoh")
+            held = time.monotonic()
+            if depth == 1:
+                subscriber.expect("first", "last", seconds=3)
+                return
+            until(lambda: time.monotonic() > held + 0.5, "the last message is held longer than other early messages")
+        finally:
+            gate.set()
+        subscriber.expect("first", "late", "last")
+        assert subscriber.texts() == ["first", "late", "last"]
+        goes_by(subscriber, "zenoh", "foreign: it has no lane here")
 
 
 def test_subscription_that_is_closed_while_it_joins_a_lane_leaves_it(

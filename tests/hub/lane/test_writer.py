@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from bridge.hub.lane import folder
+from bridge.hub.lane.blocks import Blocks
 from bridge.hub.lane.outlet import ReaderLink
 from bridge.hub.lane.wire import FENCE, HEAD, ON, TOKEN
 from bridge.hub.lane.writer import LaneWriter
@@ -26,13 +27,13 @@ def test_an_error_disconnects_only_one_reader(tmp_path: Path, monkeypatch: pytes
         read(writer, number, link)
 
     monkeypatch.setattr(LaneWriter, "_read", fail_once)
-    with contextlib.closing(LaneWriter(tmp_path, ZID)):
+    with contextlib.closing(LaneWriter(tmp_path, ZID, Blocks(lambda *_: None))):
         assert _replies(tmp_path) == b"", "it is disconnected"
         assert HEAD.unpack_from(_replies(tmp_path)) == (FENCE, 1)
 
 
 def test_readers_connect_while_the_system_is_out_of_threads(tmp_path: Path) -> None:
-    with contextlib.closing(LaneWriter(tmp_path, ZID)), no_threads("hub-lane"):
+    with contextlib.closing(LaneWriter(tmp_path, ZID, Blocks(lambda *_: None))), no_threads("hub-lane"):
         assert HEAD.unpack_from(_replies(tmp_path)) == (FENCE, 1)
 
 

@@ -6,7 +6,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 from bridge.adapters.ros2 import rcl, rmw
 from bridge.adapters.ros2.context import Closed, Ros2Context
@@ -38,14 +38,14 @@ class _Writer:
         if self.native is not None:
             self.native.open = self._held is None and self._handle is not None
 
-    def send(self, payload: bytes) -> None:
+    def send(self, payload: bytes | memoryview) -> None:
         with self._lock:
             if self._held is not None:
-                self._held.append(payload)
+                self._held.append(bytes(payload))
             else:
                 self._publish(payload)
 
-    def _publish(self, payload: bytes) -> None:
+    def _publish(self, payload: bytes | memoryview) -> None:
         """Publish unless closed; the lock is held."""
         if self._handle is not None:
             rcl.publish(self._pointer, payload)
@@ -115,6 +115,8 @@ class Ros2Publisher:
         only: the subscriptions that the writers send to; None for all.
     """
 
+    accepts_views: ClassVar[bool] = True
+
     def __init__(
         self, topic: str, message_class: Any, qos: Qos, context: Ros2Context, closed: Closed,
         has_subscribers: HasSubscribers, for_readers: ForReaders | None = None, only: VersionFilter | None = None,
@@ -146,14 +148,14 @@ class Ros2Publisher:
         """Whether another participant subscribes to the topic."""
         return self._has_subscribers(self.topic)
 
-    def send(self, payload: bytes, source: str) -> None:
+    def send(self, payload: bytes | memoryview, source: str) -> None:
         """Publish a source's message; raises `ConversionError` if the subscriptions' version cannot represent it."""
         writer = self._only or self._writers.get(source) or self._writer_for(source)
         if writer is None:
             return
         if self._for_readers is not None and writer.readers_changed():
             self._follow_version(self._for_readers)
-        writer.send(payload if self._convert is None else self._convert(payload))
+        writer.send(payload if self._convert is None else self._convert(bytes(payload)))
 
     def _writer_for(self, source: str) -> _Writer | None:
         with self._lock:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ctypes
 import gc
+import mmap
+import random
 import sys
 import threading
 import weakref
@@ -42,6 +44,8 @@ class Rcl:
         self._function = ctypes.CFUNCTYPE(ctypes.c_int32, *pointers)(self._publish)
         monkeypatch.setattr(rcl, "_PUBLISH", ctypes.cast(self._function, ctypes.c_void_p).value)
 
+        # as ctypes calls it, for which the message is any structure
+        self.call = ctypes.CFUNCTYPE(ctypes.c_int32, *3 * [ctypes.c_void_p])(rcl._PUBLISH)
         self.resets = 0
         self._reset = ctypes.CFUNCTYPE(None)(self._reset_error)
         monkeypatch.setattr(rcl, "_RESET_ERROR", ctypes.cast(self._reset, ctypes.c_void_p).value)
@@ -129,6 +133,22 @@ def test_large_messages_are_left_to_python(stand_in: Rcl) -> None:
     assert (len(stand_in.published), way.messages) == (1, 1)
 
 
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("size", [10, 3 * rcl.LARGE])
+def test_python_publishes_bytes_and_memory_of_others(
+    stand_in: Rcl, monkeypatch: pytest.MonkeyPatch, size: int, *, compiled: bool
+) -> None:
+    if not compiled:
+        monkeypatch.setattr(rcl, "_publish", rcl._publish_by_ctypes)
+        for name in ("_rcl", "_rcl_held"):
+            monkeypatch.setattr(rcl, name, SimpleNamespace(rcl_publish_serialized_message=stand_in.call))
+    with mmap.mmap(-1, 4 * rcl.LARGE) as memory:
+        memory[:size] = payload = random.Random(1).randbytes(size)
+        rcl.publish(PUBLISHER, payload)
+        rcl.publish(PUBLISHER, memoryview(memory)[:size])
+    assert stand_in.published == [payload, payload]
+
+
 def test_a_writer_needs_an_address(stand_in: Rcl) -> None:
     for address in ("1", None, 1.5):
         with pytest.raises(TypeError):
@@ -205,6 +225,16 @@ def test_a_writer_that_holds_messages_publishes_them_before_those_of_c(dds: DdsW
     assert dds.by_python == [b"1"]
     assert pass_on(dds.exit, b"2")
     assert stand_in.published == [b"2"]
+
+
+def test_a_held_message_is_copied(dds: DdsWriter) -> None:
+    """The memory is invalid after the call."""
+    memory = bytearray(b"before")
+    dds.writer.hold(2)
+    dds.writer.send(memoryview(memory))
+    memory[:] = b"after!"
+    dds.writer.release()
+    assert dds.by_python == [b"before"]
 
 
 def test_held_messages_are_published_before_the_writer_is_open(dds: DdsWriter, monkeypatch: pytest.MonkeyPatch) -> None:
