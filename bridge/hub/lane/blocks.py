@@ -25,6 +25,9 @@ if sys.platform == "linux":  # other systems have no lanes
 
 _log = logging.getLogger(__name__)
 
+POSSIBLE = sys.platform == "linux" and hasattr(os, "memfd_create") and hasattr(fcntl, "F_ADD_SEALS")
+"""Whether this Python has the calls; one that was built for an older system lacks them."""
+
 MAX_BYTES = 128 << 20
 """Maximum total size in bytes of a session's blocks; a larger message has a block if no other block is in use."""
 
@@ -109,7 +112,7 @@ class Blocks:
 
     def reserve(self, size: int) -> Block | None:
         """Return a block with room for ``size`` bytes, for the caller to `release`; None without memory for it."""
-        block = self._take(size)
+        block = self._take(size) if POSSIBLE else None
         if block is None:
             return None
         try:

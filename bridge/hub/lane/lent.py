@@ -15,7 +15,7 @@ from collections.abc import Callable
 from threading import Lock
 
 from bridge.hub.errors import HubWireError
-from bridge.hub.lane.blocks import IDLE_SECONDS
+from bridge.hub.lane.blocks import IDLE_SECONDS, POSSIBLE
 from bridge.messages.transcode.copies import copied
 
 if sys.platform == "linux":  # other systems have no lanes
@@ -95,7 +95,7 @@ def _map(file: int, size: int) -> mmap.mmap | None:
     """Map a block that has all of a message and cannot shrink; None if that is impossible."""
     try:
         whole = os.fstat(file).st_size
-        if whole < size or not fcntl.fcntl(file, fcntl.F_GET_SEALS) & fcntl.F_SEAL_SHRINK:
+        if not POSSIBLE or whole < size or not fcntl.fcntl(file, fcntl.F_GET_SEALS) & fcntl.F_SEAL_SHRINK:
             return None
         return mmap.mmap(file, whole, mmap.MAP_SHARED | mmap.MAP_POPULATE, mmap.PROT_READ)
     except (OSError, ValueError) as err:

@@ -220,3 +220,9 @@ def test_blocks_that_are_used_when_the_session_ends_are_returned_later(later: La
     assert (blocks.size, blocks.store(bytes(MB))) == (MB, None)
     message.release()
     assert (blocks.size, later.calls) == (0, [])
+
+
+def test_a_python_for_an_older_system_has_no_blocks(blocks: Blocks, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "POSSIBLE", False)
+    monkeypatch.delattr(os, "memfd_create")
+    assert blocks.store(bytes(MB)) is None
