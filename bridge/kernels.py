@@ -55,7 +55,7 @@ C_MODULES: tuple[str, ...] = (
     "bridge.adapters.ros2.topics.writing",
     "bridge.hub.lane.links",
     "bridge.hub.lane.receiving",
-    "bridge.messages.transcode.buffers",
+    "bridge.messages.buffers",
     "bridge.routing.doorway",
     "bridge.routing.exit",
 )

@@ -13,9 +13,9 @@ from bridge.hub.graph import HubEndpoint
 from bridge.hub.graph.tokens import Origin
 from bridge.hub.lane.lent import LentPayload
 from bridge.hub.wire.qos import Durability, Qos
+from bridge.messages.copies import copied
 from bridge.messages.errors import MessageError
 from bridge.messages.transcode.conversion import Conversion
-from bridge.messages.transcode.copies import copied
 from bridge.routing.backlog import HeldMessage
 from bridge.routing.counters import LATENCY_BOUNDS
 from bridge.routing.decision import OWN_NETWORK, RouteDecision, RouteKey, hub_groups

@@ -15,8 +15,9 @@ from bridge.hub.endpoints.publisher import HubPublisher
 from bridge.hub.lane.blocks import Blocks
 from bridge.hub.node import Hub
 from bridge.hub.wire.qos import LATCHED, Qos
+from bridge.messages import copies
 from bridge.messages.registry import Registry
-from bridge.messages.transcode import copies, direct
+from bridge.messages.transcode import direct
 from bridge.messages.transcode.conversion import Conversion, SideType
 from bridge.routing.decision import RouteKey
 from bridge.routing.dispatcher import Dispatcher

@@ -18,7 +18,7 @@ import time
 from collections.abc import Callable
 from threading import Lock
 
-from bridge.messages.transcode.copies import copied, copy_to
+from bridge.messages.copies import copied, copy_to
 
 if sys.platform == "linux":  # other systems have no lanes
     import fcntl

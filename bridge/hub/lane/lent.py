@@ -16,7 +16,7 @@ from threading import Lock
 
 from bridge.hub.errors import HubWireError
 from bridge.hub.lane.blocks import IDLE_SECONDS, POSSIBLE
-from bridge.messages.transcode.copies import copied
+from bridge.messages.copies import copied
 
 if sys.platform == "linux":  # other systems have no lanes
     import fcntl

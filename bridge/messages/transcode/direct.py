@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from bridge.messages.copies import buffers, copied
 from bridge.messages.transcode.conversion import Convert, native_program
-from bridge.messages.transcode.copies import buffers, copied
 
 
 class DirectConversion:

@@ -8,11 +8,12 @@ from typing import Any
 
 import pytest
 
+from bridge.messages import buffers, copies
+from bridge.messages.copies import copied, copy_to
 from bridge.messages.errors import ConversionError
 from bridge.messages.registry import Registry
-from bridge.messages.transcode import buffers, copies, direct
+from bridge.messages.transcode import direct
 from bridge.messages.transcode.conversion import make_vm, native_program
-from bridge.messages.transcode.copies import copied, copy_to
 from bridge.messages.transcode.direct import DirectConversion
 from tests.messages.transcode.programs import TYPES, damaged, programs
 

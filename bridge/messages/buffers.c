@@ -1,7 +1,7 @@
 /* Converts large messages from one buffer to another, without the interpreter's lock. */
 
 #define PY_SSIZE_T_CLEAN
-#include "program.h"
+#include "transcode/program.h"
 
 /* Reads a program and a message; the caller releases the view. */
 static int read_message(Message *message, Program *program, PyObject *native, const Py_buffer *view)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 try:
-    from bridge.messages.transcode import buffers
+    from bridge.messages import buffers
 except ImportError:  # there was no compiler
     if not TYPE_CHECKING:
         buffers = None
