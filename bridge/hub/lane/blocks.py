@@ -20,12 +20,9 @@ from threading import Lock
 
 from bridge.messages.copies import copied, copy_to
 
-if sys.platform == "linux":  # other systems have no lanes
-    import fcntl
-
 _log = logging.getLogger(__name__)
 
-POSSIBLE = sys.platform == "linux" and hasattr(os, "memfd_create") and hasattr(fcntl, "F_ADD_SEALS")
+POSSIBLE = sys.platform == "linux" and hasattr(os, "memfd_create")
 """Whether this Python has the calls; one that was built for an older system lacks them."""
 
 MAX_BYTES = 128 << 20
@@ -54,6 +51,8 @@ class Block:
 
     def __init__(self, number: int) -> None:
         """Create an empty file; raises `OSError`."""
+        import fcntl  # which Windows lacks
+
         self.number = number
         self.file = os.memfd_create("midspan-lane", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
         try:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import logging
 import mmap
 import os
-import sys
 import time
 from collections.abc import Callable
 from threading import Lock
@@ -17,9 +16,6 @@ from threading import Lock
 from bridge.hub.errors import HubWireError
 from bridge.hub.lane.blocks import IDLE_SECONDS, POSSIBLE
 from bridge.messages.copies import copied
-
-if sys.platform == "linux":  # other systems have no lanes
-    import fcntl
 
 _log = logging.getLogger(__name__)
 
@@ -93,9 +89,13 @@ class Mapped:
 
 def _map(file: int, size: int) -> mmap.mmap | None:
     """Map a block that has all of a message and cannot shrink; None if that is impossible."""
+    if not POSSIBLE:
+        return None
+    import fcntl  # which Windows lacks
+
     try:
         whole = os.fstat(file).st_size
-        if not POSSIBLE or whole < size or not fcntl.fcntl(file, fcntl.F_GET_SEALS) & fcntl.F_SEAL_SHRINK:
+        if whole < size or not fcntl.fcntl(file, fcntl.F_GET_SEALS) & fcntl.F_SEAL_SHRINK:
             return None
         return mmap.mmap(file, whole, mmap.MAP_SHARED | mmap.MAP_POPULATE, mmap.PROT_READ)
     except (OSError, ValueError) as err:
