@@ -27,6 +27,7 @@ from pathlib import Path
 import zenoh
 
 from bridge.hub.errors import zenoh_reason
+from bridge.hub.freeing import keep
 from bridge.hub.panics import is_panic, watched
 from bridge.hub.shared_memory import FOLDER, room_trouble
 from bridge.hub.zenoh_config import POOL, without_shared_memory
@@ -64,7 +65,8 @@ def open_session(config: zenoh.Config, *, prepares: bool = False) -> zenoh.Sessi
     With ``prepares`` the caller promises to call `prepare_to_send` before each message that may be large. Raises
     `zenoh.ZError` if the session does not open without shared memory either.
     """
-    return watched(_open(config, prepares=prepares))
+    session = watched(_open(config, prepares=prepares))
+    return keep(session) if json.loads(config.get_json("mode")) == "router" else session
 
 
 def _open(config: zenoh.Config, *, prepares: bool) -> zenoh.Session:

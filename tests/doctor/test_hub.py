@@ -31,6 +31,7 @@ from navigation.lifecycle import trouble
 from tests.doctor.parts import around, every, hub, only, results
 from tests.peers.hub.network import HubNetwork
 from tests.support.ports import free_port
+from tests.support.zenoh_router import open_router
 
 
 def endpoint(
@@ -184,7 +185,7 @@ def test_another_router_at_the_address_is_reported(mode: str, wanted: Any, resul
     config = zenoh.Config()
     for key, value in (("mode", mode), ("listen/endpoints", [listen]), ("scouting/multicast/enabled", False)):
         config.insert_json5(key, json.dumps(value))
-    with zenoh.open(config):
+    with open_router(config):
         finding = only(router.check_port(around({"hub": {"listen": listen, "router": wanted}})))
     assert (finding.result, listen in finding.seen) == (result, True), finding
 

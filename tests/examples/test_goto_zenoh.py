@@ -12,6 +12,7 @@ import zenoh
 
 from tests.peers.daemon.examples import EXAMPLES
 from tests.support.ports import free_port
+from tests.support.zenoh_router import open_router
 
 Status = dict[str, Any]
 
@@ -28,7 +29,7 @@ class Robot:
         config = zenoh.Config()
         config.insert_json5("mode", '"router"')
         config.insert_json5("listen/endpoints", json.dumps([self.place]))
-        self.session = zenoh.open(config)
+        self.session = open_router(config)
         self.now: Status | None = status(1, "goal_reached")  # the status of the previous goal
         self.goes: Callable[[], None] = lambda: None
         self.session.declare_queryable("robot/go_to", self._go)

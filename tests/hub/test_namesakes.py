@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import zenoh
 
 from bridge.config.model import Config
 from bridge.hub import namesakes
@@ -22,6 +21,7 @@ from bridge.hub.session import HubSettings
 from bridge.hub.zenoh_config import MAX_PAYLOAD, make_config, router_tree
 from tests.support.ports import free_port
 from tests.support.wait import until
+from tests.support.zenoh_router import open_router
 
 
 def distinct(answers: list[WorkerAnswer], own_session: str) -> list[WorkerAnswer]:
@@ -168,7 +168,7 @@ def test_daemons_with_the_same_name_at_one_router_are_reported(
 ) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     if router == "another":
-        foreign = zenoh.open(make_config(router_tree([endpoint], max_payload=MAX_PAYLOAD), None))
+        foreign = open_router(make_config(router_tree([endpoint], max_payload=MAX_PAYLOAD), None))
         stack.callback(foreign.close)
     first = Daemon(stack, endpoint, tmp_path / "a", 1)
     with ExitStack() as inner:

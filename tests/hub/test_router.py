@@ -7,7 +7,6 @@ import threading
 import time
 
 import pytest
-import zenoh
 
 from bridge.config.model import Config
 from bridge.hub.errors import HubConfigError, HubError
@@ -19,6 +18,7 @@ from tests.peers.hub.network import HubNetwork
 from tests.support.ports import free_port
 from tests.support.status_documents import check_document
 from tests.support.wait import until
+from tests.support.zenoh_router import open_router
 
 
 def router_config(endpoint: str, router: object = "auto", **more: object) -> Config:
@@ -58,7 +58,7 @@ def test_probe_identifies_the_router():
     tree = session_tree(None, shared_memory=False, max_payload=MAX_PAYLOAD)
     for mode in ("router", "peer"):
         config = make_config(tree, {"mode": mode, "listen": {"endpoints": [endpoint]}})
-        with zenoh.open(config) as stranger:
+        with open_router(config) as stranger:
             assert probe_router(endpoint) == RouterInfo(endpoint, str(stranger.zid()), mode)
 
 

@@ -20,6 +20,7 @@ from tests.peers.daemon.midspan import MIDSPAN
 from tests.support.ports import free_port
 from tests.support.process import Process
 from tests.support.wait import until
+from tests.support.zenoh_router import open_router
 
 CURE = "compare the files in transport/link/tls of zenoh.zenoh with those of the other machine"
 
@@ -50,7 +51,7 @@ def endpoint(tmp_path: Path) -> Iterator[str]:
     place = f"tls/127.0.0.1:{free_port()}"
     scouting = {"multicast": {"enabled": False}}
     tree = {"mode": "router", "scouting": scouting, "listen": {"endpoints": [place]}, "transport": tls(tmp_path, "a")}
-    session = zenoh.open(zenoh.Config.from_json5(json.dumps(tree)))
+    session = open_router(zenoh.Config.from_json5(json.dumps(tree)))
     yield place
     session.close()  # type: ignore[no-untyped-call]
 

@@ -14,6 +14,7 @@ from tests.peers.zenoh import programs
 from tests.peers.zenoh.programs import Ros2ddsBridge, open_session
 from tests.support.ports import free_port
 from tests.support.wait import until
+from tests.support.zenoh_router import open_router
 
 STRING = "std_msgs/String"
 TOPIC = "/state"
@@ -77,7 +78,7 @@ class Hop:
             "listen": {"endpoints": [self.endpoint]},
             "connect": {"endpoints": [self._upstream]},
         }
-        self.session = zenoh.open(zenoh.Config.from_json5(json.dumps(tree)))
+        self.session = open_router(zenoh.Config.from_json5(json.dumps(tree)))
 
     def stop(self) -> None:
         self.session.close()

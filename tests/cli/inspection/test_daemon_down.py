@@ -22,6 +22,7 @@ import zenoh
 from tests.peers.daemon.robot_daemon import RobotDaemon
 from tests.support.ports import free_port
 from tests.support.wait import until
+from tests.support.zenoh_router import open_router
 
 DOWN = "the daemon robot is not running, although its router is (process {router})"
 UNRESPONSIVE = "the router of robot (process {router}) listens at tcp/127.0.0.1:{port}, but accepts no connection"
@@ -302,7 +303,7 @@ def test_status_finds_a_daemon_that_uses_a_router_of_another_project(tmp_path: P
     for key, value in (("mode", "router"), ("listen/endpoints", [place]), ("scouting/multicast/enabled", False)):
         config.insert_json5(key, json.dumps(value))
     robot = RobotDaemon(tmp_path, hub={"listen": place}, navigation={}, modules={})
-    with zenoh.open(config):
+    with open_router(config):
         try:
             robot.run()
             robot.until_phase("router", "running")

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import zenoh
 
 from bridge.config.rules import ALWAYS
 from bridge.hub.node import Hub
@@ -23,6 +22,7 @@ from tests.peers.hub.machines import Machines, make_keys
 from tests.peers.hub.network import HubNetwork
 from tests.support.ports import free_port
 from tests.support.wait import until
+from tests.support.zenoh_router import open_router
 
 SET_BOOL, GET_PLAN = "std_srvs/srv/SetBool", "nav_msgs/srv/GetPlan"
 TWIST, LASER = "geometry_msgs/msg/Twist", "sensor_msgs/msg/LaserScan"
@@ -262,7 +262,7 @@ def test_explain_reports_a_foreign_router_to_the_commanding_machine(
     tls |= {"root_ca_certificate": str(new_host.folder / "ca.pem"), "enable_mtls": True}
     tree = router_tree([place], max_payload=1 << 20)
     tree["connect"]["endpoints"] = [new_host.place]
-    middle = zenoh.open(make_config(tree, {"transport": {"link": {"tls": tls}}}))
+    middle = open_router(make_config(tree, {"transport": {"link": {"tls": tls}}}))
     hub = {"connect": [place], "keys": str(new_host.folder), "certificate": str(new_host.folder / "friend.pem")}
     with HubNetwork(run=False, external={**hub, "key": str(new_host.folder / "friend.key")}) as operator_network:
         operator_network.start_router()

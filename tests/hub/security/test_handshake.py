@@ -23,6 +23,7 @@ from bridge.hub.security.reasons import EndpointState, refusal_in_log, unreachab
 from bridge.hub.zenoh_config import make_config, router_tree
 from tests.support.ports import free_port
 from tests.support.wait import until
+from tests.support.zenoh_router import open_router
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +53,7 @@ def listener(folder: Path, name: str, endpoint: str) -> Iterator[zenoh.Session]:
         "enable_mtls": True,
     }
     tree = router_tree([endpoint], max_payload=1 << 20)
-    with zenoh.open(make_config(tree, {"transport": {"link": {"tls": tls}}})) as session:
+    with open_router(make_config(tree, {"transport": {"link": {"tls": tls}}})) as session:
         yield session
 
 
@@ -276,7 +277,7 @@ def test_zenoh_itself_links_after_a_test(keys: Path) -> None:
         assert not robot.info.links()
         tree = router_tree([], max_payload=1 << 20)
         tree["connect"]["endpoints"] = [f"tls/127.0.0.1:{port}"]
-        with zenoh.open(make_config(tree, {"transport": {"link": {"tls": tls}}})):
+        with open_router(make_config(tree, {"transport": {"link": {"tls": tls}}})):
             until(
                 lambda: [link.auth_identifier for link in robot.info.links()] == ["operator1"], "the link is up", 10.0
             )

@@ -15,6 +15,7 @@ from bridge.hub.security.link_restart import LinkRestarts
 from bridge.hub.zenoh_config import MAX_PAYLOAD, make_config, router_tree
 from tests.support.ports import free_port
 from tests.support.wait import until
+from tests.support.zenoh_router import open_router
 
 
 @contextmanager
@@ -24,8 +25,8 @@ def routers() -> Iterator[tuple[zenoh.Session, zenoh.Session]]:
     connecting = router_tree([], max_payload=MAX_PAYLOAD)
     connecting["connect"]["endpoints"] = [endpoint]
     with (
-        zenoh.open(make_config(router_tree([endpoint], max_payload=MAX_PAYLOAD), None)) as listener,
-        zenoh.open(make_config(connecting, None)) as connector,
+        open_router(make_config(router_tree([endpoint], max_payload=MAX_PAYLOAD), None)) as listener,
+        open_router(make_config(connecting, None)) as connector,
     ):
         until(lambda: listener.info.links() and connector.info.links(), "the routers are linked")
         yield connector, listener
@@ -78,7 +79,7 @@ def test_a_router_that_takes_the_place_of_another_receives_the_state(monkeypatch
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     tree = router_tree([], max_payload=MAX_PAYLOAD)
     tree["connect"]["endpoints"] = [endpoint]
-    with zenoh.open(make_config(router_tree([endpoint], max_payload=MAX_PAYLOAD), None)) as here:
+    with open_router(make_config(router_tree([endpoint], max_payload=MAX_PAYLOAD), None)) as here:
         restarts, key = LinkRestarts(here), f"{link_restart._KEY}/{here.zid()}"
 
         def arrived(session: zenoh.Session, other: LinkRestarts | None = None) -> bool:
@@ -88,14 +89,14 @@ def test_a_router_that_takes_the_place_of_another_receives_the_state(monkeypatch
 
         for _ in range(3):  # on a busy machine, not each attempt takes less than 0.1 s
             time.sleep(0.3)  # zenoh computes its trees without the last router
-            leaving = [zenoh.open(make_config(tree, None)) for _ in range(2)]
+            leaving = [open_router(make_config(tree, None)) for _ in range(2)]
             for session in leaving:
                 until(lambda session=session: arrived(session), "the token arrives")
             time.sleep(0.3)  # zenoh computes its trees with both
             leaving[0].close()  # zenoh computes them at once, and not again within 0.1 s
             time.sleep(0.03)
             leaving[1].close()
-            with zenoh.open(make_config(tree, None)) as new:
+            with open_router(make_config(tree, None)) as new:
                 other = LinkRestarts(new)
                 until(lambda new=new, other=other: arrived(new, other), "the token arrives")
                 other.close()

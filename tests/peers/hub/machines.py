@@ -13,6 +13,7 @@ from bridge.hub.session import HubSettings
 from bridge.hub.zenoh_config import make_config, session_tree
 from tests.peers.hub.network import HubNetwork
 from tests.support.ports import free_port
+from tests.support.zenoh_router import open_router
 
 FLOAT = "std_msgs/msg/Float64"
 ARM = {"rules": [{"topic": "/arm/drive", "type": FLOAT, "priority": "command"}]}
@@ -54,7 +55,7 @@ class Machines:
         place, over = (self.network.endpoint, {}) if name is None else (self.place, self.zenoh_config(name))
         over["mode"] = mode
         tree = session_tree(place, shared_memory=False, max_payload=1 << 20)
-        session = zenoh.open(make_config(tree, over))
+        session = open_router(make_config(tree, over))
         self._sessions.append(session)
         return session
 

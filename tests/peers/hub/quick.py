@@ -11,6 +11,7 @@ from bridge.hub.links import MEMBERS
 from bridge.hub.rejoin import REJOIN, Rejoins
 from bridge.hub.zenoh_config import MAX_PAYLOAD, make_config, router_tree
 from tests.peers.hub.network import HubNetwork
+from tests.support.zenoh_router import open_router
 
 
 class QuickHub(HubNetwork):
@@ -28,7 +29,7 @@ class QuickHub(HubNetwork):
 
     def start_router(self) -> None:
         """Start the router."""
-        session = zenoh.open(make_config(router_tree([self.endpoint], max_payload=MAX_PAYLOAD), None))
+        session = open_router(make_config(router_tree([self.endpoint], max_payload=MAX_PAYLOAD), None))
         self._session, self._control = session, Control(session, self.domain, "quick", "router")
         self._control.serve(MEMBERS, lambda _: self._members(session))
         self._control.serve(REJOIN, Rejoins(session).answer)

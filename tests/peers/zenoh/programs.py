@@ -25,6 +25,7 @@ from tests.peers.zenoh.services import MD5, TYPES, Calling, Serving, Wire
 from tests.support.ports import free_port
 from tests.support.rosbags_messages import Messages
 from tests.support.wait import until
+from tests.support.zenoh_router import open_router
 
 
 def service_texts() -> dict[str, str]:
@@ -62,7 +63,7 @@ class Router:
             "scouting": {"delay": 0, "multicast": {"enabled": False}},
             "listen": {"endpoints": [self.endpoint]},
         }
-        self._session = zenoh.open(zenoh.Config.from_json5(json.dumps(tree)))
+        self._session = open_router(zenoh.Config.from_json5(json.dumps(tree)))
 
     def stop(self) -> None:
         session, self._session = self._session, None
