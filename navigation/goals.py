@@ -254,5 +254,5 @@ class FarClients:
 
 
 def _now() -> tuple[float, float]:
-    """Return the time, also while the machine is suspended, and this process's processor time, in seconds."""
+    """Return the time, which includes suspensions of the machine, and this process's processor time, in seconds."""
     return steady_ns() / 1e9, time.process_time()

@@ -87,7 +87,7 @@ class PlannerModule(Module):
 
     @abstractmethod
     def pause(self, seconds: float) -> None:
-        """Stop for some seconds, then drive on; raises `PlanError` without a goal."""
+        """Stop for ``seconds``, then drive on; raises `PlanError` without a goal."""
 
     @abstractmethod
     def resume(self) -> None:

@@ -38,7 +38,7 @@ class Odometer(PoseSource):
     def estimate(self) -> PoseEstimate:
         """Return the robot's pose on the map, or why it is unknown; called every `period` (by default 0.1 s)."""
         if self._start is None:
-            return unknown("waiting for a start pose")
+            return unknown("waiting for an initial pose")
         try:
             odometry = self._frames.odometry()
         except FramesError as err:

@@ -196,7 +196,7 @@ class LoopSearch:
         return [index for _, index in near[:_MOST_DIRECT]], self._choose([candidate for _, candidate in far])
 
     def _choose(self, far: list[Candidate]) -> list[Candidate]:
-        """Return the candidates that may confirm the suspected closure; if there are none, the next few in turn."""
+        """Return the candidates that may confirm the suspected closure; or, if none may, the next few in turn."""
         suspicion = self._suspicion
         if suspicion is not None:
             again = [candidate for candidate in far if candidate.submap == suspicion.closure.submap]
@@ -284,7 +284,7 @@ def search_surfels(surfels: Surfels, points: Surface, guess: Pose, reach: float,
 
 
 def _agree(a: Closure, b: Closure) -> bool:
-    """Whether two closures move the map in the same way, where the second one was found."""
+    """Whether two closures move the pose before the second one to nearly the same pose."""
     return _close(a.correction @ b.before, b.correction @ b.before, *_AGREED)
 
 

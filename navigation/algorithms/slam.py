@@ -112,7 +112,7 @@ class Slam:
     def resume(
         cls, submaps: Submaps, guess: Pose, unsure: tuple[float, float] = ANYWHERE, run: RunSearch = at_once
     ) -> Slam:
-        """Continue a map from a pose of the laser that may be wrong by some meters and radians."""
+        """Continue a map from a pose of the laser that may be wrong by ``unsure`` (meters, radians)."""
         slam = cls(guess, run)
         slam.submaps, slam.unsure, slam._joined_from = submaps, unsure, len(submaps.graph.poses)
         return slam

@@ -16,7 +16,7 @@ class ReadingTime(NamedTuple):
     """When the encoders were read."""
 
     stamp_ns: int  #: for messages: of the driver's clock, or of this program's clock if the driver has none
-    seconds: float  #: always increasing, also across a step of the driver's clock
+    seconds: float  #: always increasing, even across a step of the driver's clock
 
 
 class ReadingTimes:

@@ -39,7 +39,7 @@ class CheckedSource:
         try:
             self._source.use_map(grid, start)
         except Exception as err:
-            if start is None or not isinstance(err, RuntimeError):  # else the source refuses only the start pose
+            if start is None or not isinstance(err, RuntimeError):  # else the source refuses only the initial pose
                 self.without_map = f"use_map() of {self._name}: {type(err).__name__}: {err}"
             raise RuntimeError(self.without_map or str(err)) from err
 

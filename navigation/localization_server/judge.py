@@ -28,7 +28,7 @@ class Judge:
     def __init__(self, settings: LocalizerSection) -> None:
         self._settings = settings
         self.quality = 0.0  # smoothed share of the scan that the map explains, less the share that contradicts it
-        self.status, self.reason = LocalizationStatus.NOT_YET, "no start pose"
+        self.status, self.reason = LocalizationStatus.NOT_YET, "no initial pose"
         self._begin()
 
     def _begin(self) -> None:
@@ -39,10 +39,10 @@ class Judge:
         self._seen: Pose | None = None
 
     def begin(self) -> None:
-        """Start again after a start pose."""
+        """Start again after an initial pose."""
         self._begin()
         self.status = LocalizationStatus.NOT_YET
-        self.reason = "a start pose was set; waiting for a scan"
+        self.reason = "an initial pose was set; waiting for a scan"
 
     def doubt(self) -> None:
         """Start again because other poses fit better."""
@@ -61,7 +61,7 @@ class Judge:
 
     @property
     def was_localized(self) -> bool:
-        """Whether the robot has been localized since the last start pose."""
+        """Whether the robot has been localized since the last initial pose."""
         return self._seen is not None
 
     @property
@@ -107,7 +107,7 @@ class Judge:
         if against >= REFUTING:
             lost += f", and {against:.0%} of its beams go through walls"
         if self._seen is None:
-            return f"{lost}; check the start pose and the map"
+            return f"{lost}; check the initial pose and the map"
         step = self._seen.inverse @ odometry
         if math.hypot(step.x, step.y) < _STOOD[0] and abs(step.theta) < _STOOD[1]:
             return f"{lost}, but by odometry the base has not moved: the odometry is frozen, or the robot was carried"

@@ -1,9 +1,9 @@
 """The localizer: estimates the pose on a map from a laser and odometry.
 
-It is a particle filter on a likelihood field. The filter cannot recover from a start that is wrong by meters, but a
-search can: if the map explains too little of a scan, the search tries all poses around the estimate, and moves some
-particles to those that explain more. The localizer uses neither the hub nor a clock; the caller passes all times as
-stamps.
+It is a particle filter on a likelihood field. The filter cannot recover from an initial pose that is wrong by meters,
+but a search can: if the map explains too little of a scan, the search tries all poses around the estimate, and moves
+some particles to those that explain more. The localizer uses neither the hub nor a clock; the caller passes all times
+as stamps.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Floats = NDArray[np.float64]
 SCAN_AGE, _ODOMETRY_AGE = 1.0, 1.0  # seconds after which the laser, or odometry, counts as silent
 _SPREAD = np.diag([0.5**2, 0.5**2, math.radians(15.0) ** 2])
 _FEWEST = 8  # a scan with fewer hits is useless
-_FORCED = 5  # updates after a start or a search, even if the base does not move
+_FORCED = 5  # updates after an initial pose or a search, even if the base does not move
 _NEVER = -(1 << 62)
 
 
@@ -97,7 +97,7 @@ class Localizer:
         if covariance is None:
             covariance = _SPREAD
         if not (np.isfinite(pose[:3]).all() and covariance.shape == (3, 3) and np.isfinite(covariance).all()):
-            raise ValueError(f"invalid start pose {pose[:3]} or covariance {covariance.tolist()}")
+            raise ValueError(f"invalid initial pose {pose[:3]} or covariance {covariance.tolist()}")
         turn = np.eye(3)
         c, s = math.cos(self._corner.theta), math.sin(self._corner.theta)
         turn[:2, :2] = [[c, s], [-s, c]]
@@ -139,7 +139,7 @@ class Localizer:
         return (now_ns - self._scan_ns) / 1e9
 
     def check(self, now_ns: int) -> tuple[LocalizationStatus, str]:
-        """Return the status at a time, also if scans or odometry have stopped, and the reason if it is not OK."""
+        """Return the status at a time, even if scans or odometry have stopped, and the reason if it is not OK."""
         if not len(self._particles):
             return self._judge.status, self._judge.reason
         newest = self._track.newest
@@ -158,7 +158,9 @@ class Localizer:
         return self._judge.status, self._judge.reason
 
     def scan(self, stamp_ns: int, points: Floats, odometry: Pose | None = None) -> bool:
-        """Use a scan; return whether the filter ran. It runs if the base has moved, and after a start or a search.
+        """Use a scan; return whether the filter ran.
+
+        It runs if the base has moved, and after an initial pose or a search.
 
         ``points`` are the hits (n, 2) in the frame of the base, meters; ``odometry`` is the pose of the base at that
         time in the odometry frame; by default it follows from the poses added with `odometry`.

@@ -174,14 +174,14 @@ class LocalizationServer(Module):
         self.source.pause(on=on)
 
     def _on_start(self, message: dict[str, Any]) -> None:
-        """Handle a start pose from the topic to which rviz publishes."""
+        """Handle an initial pose from the topic to which rviz publishes."""
         frame = message["header"]["frame_id"].lstrip("/")
         if frame not in ("", self._frames.map_frame):
-            self._refuse_start(f"the start pose is in the frame {frame!r}, not in {self._frames.map_frame!r}")
+            self._refuse_start(f"the initial pose is in the frame {frame!r}, not in {self._frames.map_frame!r}")
             return
         start = message["pose"]
         try:
-            check_rotation(start["pose"]["orientation"], "the start pose's")
+            check_rotation(start["pose"]["orientation"], "the initial pose's")
             self._checked.initial(pose_of(start["pose"]), plane_of(start["covariance"]))
         except (RuntimeError, ValueError) as err:
             self._refuse_start(str(err))

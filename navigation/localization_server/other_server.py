@@ -56,7 +56,7 @@ class YarpLocalizerClient(PolledServer[ILocalization2DMsgs], ExternalSource):
 
     @override
     def initial(self, pose: Pose, covariance: Floats | None) -> None:
-        """Have the polling thread send the start pose; raises `RuntimeError` if the server is unavailable."""
+        """Have the polling thread send the initial pose; raises `RuntimeError` if the server is unavailable."""
         if not self._connected:
             raise RuntimeError(f"{self.source} is not available; start the localization server")
         location = Map2DLocation(self._map_name(), pose.x, pose.y, math.degrees(pose.theta))
@@ -104,7 +104,7 @@ class YarpLocalizerClient(PolledServer[ILocalization2DMsgs], ExternalSource):
     def _on_unreachable(self, reason: str) -> None:
         self._report(f"{self.source}: {reason}")
         with self._lock:
-            # an old start pose would be wrong when the server is back
+            # an old initial pose would be wrong when the server is back
             self._connected, self._pending_start = False, None
 
     def _report(self, reason: str) -> None:
@@ -119,7 +119,7 @@ class YarpLocalizerClient(PolledServer[ILocalization2DMsgs], ExternalSource):
             with self._lock:
                 start, self._pending_start = self._pending_start, None
             if start is not None and not remote.set_initial_pose2_RPC(*start):
-                self._report(f"{self.source} refused the start pose; check that it is on the server's map")
+                self._report(f"{self.source} refused the initial pose; check that it is on the server's map")
             self._poll_pose(remote, cloud=polls % cloud_interval == 0)
             polls += 1
             with self._lock:

@@ -113,7 +113,7 @@ class OwnLocalizer(PoseSource):
             self.initial(*start)
 
     def _first(self) -> Pose | None:
-        """Return the start pose: the last pose of this run, else the configured pose, else an earlier run's last."""
+        """Return the initial pose: the last pose of this run, else the configured pose, else an earlier run's last."""
         memory, name = self._memory, self._map
         return memory.recall(name, of_this_run=True) or self._start or memory.recall(name, of_this_run=False)
 

@@ -50,7 +50,7 @@ class PoseRecovery:
         self.searches = 0
 
     def begin(self) -> None:
-        """Start again after a start pose."""
+        """Start again after an initial pose."""
         self._searched_ns, self._fruitless = _NEVER, 0
 
     def forget_stamps(self) -> None:

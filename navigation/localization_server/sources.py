@@ -29,14 +29,14 @@ from yarp_compat.pythonic import Received
 
 
 class Start(NamedTuple):
-    """A client's start pose, with its uncertainty."""
+    """A client's initial pose, with its uncertainty."""
 
     pose: Pose
     covariance: Floats | None = None  #: (3, 3) of x, y, theta: meters, radians; None for the default
 
 
 def start_covariance(section: LocalizationServerSection) -> Floats:
-    """Return the default covariance of a start pose."""
+    """Return the default covariance of an initial pose."""
     return estimates.covariance_of(section.initial_spread[0], math.radians(section.initial_spread[1]))
 
 
@@ -47,7 +47,7 @@ class PoseSource(ABC):
     ``options``), and the robot's frames on ``/tf``.
     """
 
-    # whether the module passes on start poses from a topic; amcl subscribes to them itself
+    # whether the module passes on initial poses from a topic; amcl subscribes to them itself
     accepts_starts = False
     corrects = False  # whether the module publishes the source's transform from the map to the odometry frame
 
@@ -87,8 +87,8 @@ class PoseSource(ABC):
 
 
 _WIDEST = 1.0
-"""Above this standard deviation in meters, amcl counts as not localized. A start pose set in rviz has 0.5 until the
-robot drives."""
+"""Above this standard deviation in meters, amcl counts as not localized. An initial pose set in rviz has 0.5 until
+the robot drives."""
 
 
 _AGAIN_SECONDS = 1.0
@@ -125,7 +125,7 @@ class FrameSource(PoseSource):
         self._known = False
 
     def _start_message(self, start: Start) -> dict[str, Any]:
-        """Return a start pose as ``geometry_msgs/PoseWithCovarianceStamped``."""
+        """Return an initial pose as ``geometry_msgs/PoseWithCovarianceStamped``."""
         covariance = start_covariance(self._section) if start.covariance is None else start.covariance
         return {
             "header": {"stamp": self._host.clock.stamp(), "frame_id": self._frames.map_frame},
@@ -313,8 +313,8 @@ class ExternalSource(PoseSource):
 
     @override
     def initial(self, pose: Pose, covariance: Floats | None) -> None:
-        """Raise `RuntimeError`, because the pose's publisher sets the start."""
-        raise RuntimeError(f"poses come from {self.source}; set the start pose at its publisher")
+        """Raise `RuntimeError`, because the pose's publisher sets the initial pose."""
+        raise RuntimeError(f"poses come from {self.source}; set the initial pose at its publisher")
 
     @override
     def use_map(self, grid: MapGrid2D, start: Start | None) -> None:

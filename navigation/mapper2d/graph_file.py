@@ -51,8 +51,8 @@ class SavedGraph(NamedTuple):
 def replacing(path: Path, saved: SavedGraph | None) -> Iterator[None]:
     """Replace the graph of a map, or remove it for None, while the body saves the map; raises `OSError`.
 
-    An error, also of the body, leaves the previous graph. If the process is killed, the map may lose its graph, but it
-    never has the graph of an earlier map.
+    An error, even one of the body, leaves the previous graph. If the process is killed, the map may lose its graph,
+    but it never has the graph of an earlier map.
     """
     part, before = path.with_name(path.name + ".part"), path.with_name(path.name + ".before")
     if saved is not None:
@@ -145,7 +145,7 @@ def _parse(arrays: dict[str, NDArray[Any]]) -> SavedGraph:
         if indices.size and not (indices.min() >= 0 and indices.max() < count):
             raise ValueError("it refers to a submap that it does not have")
     if (beams.size and beams.min() < 0) or int(beams.sum()) != arrays["millimeters"].size:
-        raise ValueError("its scans do not have as many beams as they should")
+        raise ValueError("its scans have the wrong number of beams")
     if arrays["paint"].size > _MOST_PAINT or arrays["corner"].shape != (2,):
         raise ValueError("its paint is invalid")
     submaps = Submaps()

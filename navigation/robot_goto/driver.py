@@ -103,7 +103,7 @@ class Driver:
             self._on(DriverEvent.GOAL)
 
     def approach(self, direction: float, speed: float, seconds: float) -> None:
-        """Move with only the laser, in a direction of the robot's frame (radians), at m/s, for some seconds.
+        """Move with only the laser, in a direction of the robot's frame (radians), at m/s, for ``seconds``.
 
         Obstacles stop the robot; it moves backward for at most 2 s. A differential base moves only forward or backward.
         """
@@ -122,7 +122,7 @@ class Driver:
         self._end(DriverEvent.CANCEL)
 
     def pause(self, seconds: float = math.inf, reason: str = "") -> bool:
-        """Stop for some seconds, or until resumed if they are not above 0; return whether there is a goal to pause."""
+        """Stop for ``seconds``, or until resumed if that is not above 0; return whether there is a goal to pause."""
         if self.target is None:
             return False
         self.target.pause_left = seconds if seconds > 0.0 else math.inf
@@ -164,7 +164,7 @@ class Driver:
 
     @property
     def obstacles(self) -> Obstacles:
-        """Obstacles seen by other sensors than the laser."""
+        """Obstacles seen by sensors other than the laser."""
         return self._surroundings.obstacles
 
     @property

@@ -1,4 +1,4 @@
-"""Keep-out cells of the map, which no sensor shows."""
+"""Keep-out cells of the map, which no sensor detects."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """RobotGoto's states, events and transitions, as a table; ARCHITECTURE.md draws it.
 
-An event that a state does not list leaves it as it is. Each state is published as one `State`.
+An event that a state does not list changes nothing. Each state is published as one `State`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ class DriverState(Enum):
     """What the robot does."""
 
     IDLE = "idle"  #: no goal yet, or it was canceled
-    APPROACHING = "approaching"  #: moves for some seconds, without a goal
+    APPROACHING = "approaching"  #: moves for a given time, without a goal
     PREPARING = "preparing"  #: has not driven to its goal yet: it backs off, or waits for a sensor or its pose
     DRIVING = "driving"  #: drives to its goal
     WAITING = "waiting"  #: has driven to its goal, and cannot continue now

@@ -25,7 +25,7 @@ class Surroundings:
 
     Attributes:
         grid: recent scans around the robot.
-        obstacles: from other sensors than the laser.
+        obstacles: from sensors other than the laser.
         keep_out: the map's keep-out cells.
         guard: the base's velocity, and the obstacles that limit it.
         follow: whether the base follows its commands.

@@ -31,7 +31,7 @@ class TimedMove:
     left: float = 0.0  #: seconds
 
     def advance(self, seconds: float) -> DriveCommand:
-        """Return the command for a step of some seconds; it is `STILL` when the time is over."""
+        """Return the command for a step of ``seconds``; it is `STILL` when the time is over."""
         self.left -= seconds
         return self.command if self.left > 0.0 else STILL
 
@@ -198,7 +198,7 @@ class SearchTurn:
         return self._left > 0.0
 
     def advance(self, guard: Guard, moved: Pose, seconds: float, speed: float) -> DriveCommand | None:
-        """Return the command at a speed (rad/s) for a step of some seconds; None after two turns at one place."""
+        """Return the command at a speed (rad/s) for a step of ``seconds``; None after two turns at one place."""
         if self._at is None or self._at.distance(moved) > _SCAN_AGAIN:
             self._turns, self._at = 0, moved
         if self._left <= 0.0:

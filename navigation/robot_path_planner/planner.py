@@ -151,7 +151,7 @@ class PathPlanner:
         self._braked = task
 
     def pause(self, now: float, seconds: float = math.inf) -> None:
-        """Stop for some seconds, or until `resume` if they are not above 0."""
+        """Stop for ``seconds``, or until `resume` if that is not above 0."""
         if self.task is not None:
             self._halting, self._braked = True, None
             self._paused_until = now + seconds if seconds > 0 else math.inf
@@ -159,7 +159,7 @@ class PathPlanner:
             self.status = PlannerStatus(State.PAUSED, "paused")
 
     def resume(self) -> None:
-        """Drive on, also if the local navigator paused itself, as RobotGoto does in a deadlock."""
+        """Drive on, even if the local navigator paused itself, as RobotGoto does in a deadlock."""
         self._paused_until = -math.inf
         if self.task is not None and self.status.state is State.PAUSED:
             self.task.replan_reason, self.task.not_before = "resumed", -math.inf

@@ -237,7 +237,7 @@ def test_a_class_as_planner_is_hosted_under_its_name(factory: str, name: str) ->
 
 
 def test_a_map_from_a_topic_has_the_name_of_its_copy_in_the_store() -> None:
-    """Planner and localizer receive it before the store does, and start poses refer to the map by this name."""
+    """Planner and localizer receive it before the store does, and initial poses refer to the map by this name."""
     section = {"enabled": True, "take": [{"topic": "/other", "name": "other"}, {"topic": "/map", "name": "apartment"}]}
     server = Config.model_validate({"modules": {"map2d_server": section}}).section(Map2DServerSection)
     assert server.taken_as("/map") == "apartment"

@@ -102,7 +102,7 @@ def test_clients_of_all_sides_use_the_planner_and_the_localizer(own: OwnMix) -> 
 
     assert localization.set_initial_pose1_RPC(Map2DLocation("map", 10.0, 1.0, 90.0))
     until(
-        lambda: localization.get_current_position1_RPC()[1].y == pytest.approx(1.0), "the start pose is used", SECONDS
+        lambda: localization.get_current_position1_RPC()[1].y == pytest.approx(1.0), "the initial pose is used", SECONDS
     )
 
 

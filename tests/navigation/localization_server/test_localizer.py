@@ -82,7 +82,7 @@ def test_missing_inputs_are_reported() -> None:
     run = tour()
     localizer = Localizer(run.grid)
     assert localizer.pose is None
-    assert localizer.check(0) == (LocalizationStatus.NOT_YET, "no start pose")
+    assert localizer.check(0) == (LocalizationStatus.NOT_YET, "no initial pose")
     localizer.initial(truth(run))
     assert localizer.check(0) == (LocalizationStatus.NOT_YET, "odometry is not arriving")
     stand(localizer, run, 1)
@@ -150,7 +150,7 @@ def test_a_map_without_walls_is_rejected() -> None:
 
 def test_a_start_pose_that_is_not_finite_is_rejected() -> None:
     localizer = Localizer(tour().grid)
-    with pytest.raises(ValueError, match="invalid start pose"):
+    with pytest.raises(ValueError, match="invalid initial pose"):
         localizer.initial(Pose(math.nan, 0.0, 0.0))
 
 

@@ -33,12 +33,12 @@ def test_a_start_pose_whose_quaternion_is_not_a_rotation_is_ignored(
 ) -> None:
     """The same rule applies to goals; without it, a zero quaternion would mean yaw 0."""
     started(place, robot)
-    until(reports(place, "not_yet_localized", "no start pose"), "the module waits for a start pose", 20)
+    until(reports(place, "not_yet_localized", "no initial pose"), "the module waits for an initial pose", 20)
     pose = {**pose_message(robot.pose), "orientation": dict(zip("xyzw", rotation, strict=True))}
     start = {"header": {"frame_id": "map"}, "pose": {"pose": pose, "covariance": [0.0] * 36}}
     out = place.far.advertise("/initialpose", POSE_COVARIANCE.replace("/msg", ""))
-    error = "/initialpose: ignored: the start pose's quaternion is not a rotation: its length is"
-    until(lambda: error in caplog.text or place.far.publish(out, start), "the start pose is ignored", 20, every=0.2)
+    error = "/initialpose: ignored: the initial pose's quaternion is not a rotation: its length is"
+    until(lambda: error in caplog.text or place.far.publish(out, start), "the initial pose is ignored", 20, every=0.2)
     assert status_of(place)["localization"] == "not_yet_localized"
     publish_start = start_publisher(place, robot.pose)
     until(lambda: reports(place, OK)() or publish_start(), "the next start is accepted", 20, every=0.5)
@@ -50,9 +50,9 @@ def test_our_localizer_serves_all_sides(place: Place, robot: Robot) -> None:
     clouds = place.far.subscribe("/localization/particles", "geometry_msgs/PoseArray", latched=True)
     frames = place.far.subscribe("/tf", "tf2_msgs/TFMessage")
     started(place, robot, particles_period=0.2)
-    until(reports(place, "not_yet_localized", "no start pose"), "the module waits for a start pose", 20)
+    until(reports(place, "not_yet_localized", "no initial pose"), "the module waits for an initial pose", 20)
     true = robot.pose
-    start_publisher(place, true, frame="odom")()  # a start pose in another frame is ignored
+    start_publisher(place, true, frame="odom")()  # an initial pose in another frame is ignored
     publish_start = start_publisher(place, true @ Pose(0.4, -0.3, 0.2))
     until(lambda: reports(place, OK)() or publish_start(), "the start is accepted", 20, every=0.5)
     until(near(place, true), "the pose is the true one", 20)
@@ -234,4 +234,4 @@ def test_yarp_ports_serve_the_pose(place: Place, robot: Robot) -> None:
             until(lambda: status_of(place).get("map") == "lab2", "the module uses the other map", 20)
             until(localized, "the robot is localized on the other map", 20)
             assert client.setInitialPose(Map2DLocation("lab", true.x, true.y, math.degrees(true.theta)))
-            until(lambda: status_of(place).get("map") == "lab", "the module uses the map of the start pose", 20)
+            until(lambda: status_of(place).get("map") == "lab", "the module uses the map of the initial pose", 20)

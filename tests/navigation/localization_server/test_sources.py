@@ -160,11 +160,11 @@ def test_the_pose_of_amcl_is_served(place: Place, robot: Robot) -> None:
             until(lambda: client.getCurrentPosition(location, received_covariance), "the pose is known", 20)
             assert received_covariance.numpy() == pytest.approx(covariance)
             start_location = Map2DLocation("lab", 3.0, 4.0, 90.0)
-            until(lambda: bool(client.setInitialPose(start_location)), "the start pose is sent", 20)
-            until(lambda: len(starts) > 0, "amcl receives the start pose", 20)
+            until(lambda: bool(client.setInitialPose(start_location)), "the initial pose is sent", 20)
+            until(lambda: len(starts) > 0, "amcl receives the initial pose", 20)
             before = len(starts)
             assert client.setInitialPose(start_location, Matrix(3, 3))
-            until(lambda: len(starts) > before, "amcl receives the second start pose", 20)
+            until(lambda: len(starts) > before, "amcl receives the second initial pose", 20)
     for start in (starts[0], starts[-1]):
         assert start["header"]["frame_id"] == "map"
         assert yaw_of(start["pose"]["pose"]["orientation"]) == pytest.approx(math.pi / 2)
@@ -175,7 +175,7 @@ def test_the_pose_of_amcl_is_served(place: Place, robot: Robot) -> None:
     assert from_grid(maps[-1]["map"], "lab2").flags.shape == robot.grid.flags.shape
     position = maps[-1]["initial_pose"]["pose"]["pose"]["position"]
     assert (robot.localized @ robot.odometry).distance(Pose(position["x"], position["y"], 0.0)) < 0.01
-    for wide, status in ((3.0, "not_yet_localized"), (0.55, OK)):  # the second spread is that of start poses from rviz
+    for wide, status in ((3.0, "not_yet_localized"), (0.55, OK)):  # the second spread is the one that rviz sends
         spread = np.diag([wide**2, wide**2, 0.1])
         amcl.publish({"header": {"frame_id": "map"}, "pose": {"covariance": spatial(spread)}})
         until(reports(place, status, "" if status == OK else "over 3.0 m"), f"a spread of {wide} m is {status}", 20)
@@ -304,7 +304,7 @@ def test_the_pose_of_another_yarp_server_is_served(place: Place, robot: Robot, t
             publish_start = start_publisher(second, robot.pose)
             until(
                 lambda: reports(second, OK)() or publish_start(),
-                "the start pose is sent to the other server",
+                "the initial pose is sent to the other server",
                 20,
                 every=0.5,
             )
@@ -323,7 +323,7 @@ def test_the_pose_of_another_yarp_server_is_served(place: Place, robot: Robot, t
             use(place, "lab", robot)
             until(reports(second, OK), "poses on this map are accepted again", 20)
             running.host.loop.call(lambda: server.begin(robot.pose, None, "lab2"))
-            until(lambda: status_of(place)["map"] == "lab2", "the other server uses the map of the start pose", 20)
+            until(lambda: status_of(place)["map"] == "lab2", "the other server uses the map of the initial pose", 20)
             until(
                 lambda: reports(second, OK)() and status_of(second)["map"] == "lab2",
                 "the robot is localized on that map",
@@ -331,7 +331,7 @@ def test_the_pose_of_another_yarp_server_is_served(place: Place, robot: Robot, t
             )
 
             def error_reported() -> bool:
-                """Retried: a start pose still in transit makes the other server wait for scans instead."""
+                """Retried: an initial pose still in transit makes the other server wait for scans instead."""
                 robot.silent = set()
                 until(reports(second, OK), "the robot is localized", 20)
                 robot.silent = {"scan"}
@@ -350,4 +350,4 @@ def test_the_pose_of_another_yarp_server_is_served(place: Place, robot: Robot, t
                     return "is not available" in str(err)
                 return False
 
-            until(refused, "a start pose is refused", 20, every=0.1)
+            until(refused, "an initial pose is refused", 20, every=0.1)

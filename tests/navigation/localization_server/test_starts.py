@@ -1,4 +1,4 @@
-"""A start pose on another map switches to that map and keeps its uncertainty."""
+"""An initial pose on another map switches to that map and keeps its uncertainty."""
 
 from __future__ import annotations
 

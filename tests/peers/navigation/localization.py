@@ -65,7 +65,7 @@ def near(place: Place, pose: Pose, meters: float = 0.15) -> Callable[[], bool]:
 
 
 def start_publisher(place: Place, pose: Pose, covariance: Any = None, frame: str = "map") -> Callable[[], None]:
-    """Return a function that publishes a start pose."""
+    """Return a function that publishes an initial pose."""
     out = place.far.advertise("/initialpose", POSE_COVARIANCE.replace("/msg", ""))
     covariance = np.zeros(36) if covariance is None else spatial(covariance)
     message = {
