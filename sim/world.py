@@ -273,7 +273,7 @@ class FloorWorld:
         self._world.removeSkeleton(self.base.skeleton)
 
     def take_base(self) -> None:
-        """Add the base again after `release_base`, where it is."""
+        """Add the base again after `release_base`, at its current pose."""
         self._world.addSkeleton(self.base.skeleton)
         self._rests = False
         self.update_near()
