@@ -257,14 +257,14 @@ def check_resolution(resolution: float) -> None:
 
 
 def count_nodes(data: bytes | NDArray[Any], kind: str, *, binary: bool) -> int:
-    """Return the number of nodes in a stream, for the header of OctoMap's files; raises `OctreeError`."""
+    """Return the number of nodes in a stream, for the header of an OctoMap file; raises `OctreeError`."""
     if not len(data):
         return 0
     return int(np.count_nonzero(_binary_children(data))) + 1 if binary else len(_full_nodes(data, kind)[1])
 
 
 def codes_of(keys: NDArray[Any]) -> NDArray[np.uint64]:
-    """Return the Morton codes of OctoMap's keys (N, 3)."""
+    """Return the Morton codes of OctoMap keys (N, 3)."""
     bits = keys.astype(_CODES)
     for shift, mask in _SPREAD:
         bits = (bits | bits << _CODES(shift)) & _CODES(mask)

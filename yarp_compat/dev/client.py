@@ -1,6 +1,6 @@
 """Clients of a device server: calls through an RPC port, and subscriptions to its stream.
 
-If the server has restarted, the RPC port reconnects before a call, and the stream on a thread of its own.
+If the server has restarted, the RPC port reconnects before a call, and the stream on its own thread.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ class Dock(NamedTuple):
             return "kind=dock"
         text = f"kind=dock dock_type={self.type}"
         if dock_of(Map2DLocation(description=text)) != self:
-            raise ValueError(f"a dock's type has letters, digits and the signs _ . : / -, not {self.type!r:.60}")
+            raise ValueError(f"a dock's type may only have letters, digits and _ . : / -, not {self.type!r:.60}")
         return text
 
 

@@ -50,7 +50,10 @@ def resolve(name: str | os.PathLike[str], base: Path, jail: Path | None) -> Path
 
 
 def read_text(path: Path) -> str:
-    """Read a text file, with surrogate escapes for bytes other than UTF-8; raises `MapFileError`, also if too long."""
+    """Read a text file, with surrogate escapes for bytes other than UTF-8.
+
+    Raises `MapFileError` if the file cannot be read, or is too long.
+    """
     try:
         with path.open("rb") as file:
             data = file.read(LONGEST_TEXT + 1)

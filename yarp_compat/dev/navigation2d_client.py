@@ -157,7 +157,7 @@ class INavigation2D(IMap2D, ILocalization2D):
         return deliver(outcome, bool(outcome) and shape.checkLocationInsideArea(position), is_inside)
 
     def findCurrentArea(self, area_name: list[str] | None = None, area: Map2DArea | None = None) -> Any:
-        """Find the map server's first area that contains the robot, and its name; both are empty if there is none."""
+        """Find the map server's first area that contains the robot, and its name; both are empty if no area does."""
         names: list[str] = []
         position, current, name = Map2DLocation(), Map2DArea(), ""
         outcome = self.getCurrentPosition(position)

@@ -119,7 +119,7 @@ class NameClient:
         contact = PortContact.from_registration(self.line(command))
         if contact is None:
             raise NameRefusedError(
-                f"the name server at {self._endpoint()} refused {command[1]}: it may be full, or use this name itself"
+                f"the name server at {self._endpoint()} refused {command[1]}: it may be full, or have this name itself"
             )
         for key, values in self._own_properties().items():
             self.line(["set", contact.name, key, *values])

@@ -1,4 +1,4 @@
-"""Velocity commands to a port's readers: none waits for a reader or for its network, and arrives late.
+"""Velocity commands to a port's readers: none arrives late because it waited for a reader or for the network.
 
 While a reader's computer cannot be reached, the system keeps what was sent, and delivers it when the network is back.
 So a command is dropped while the reader has not acknowledged an earlier one in time, and a stop follows those that were

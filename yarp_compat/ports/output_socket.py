@@ -1,4 +1,4 @@
-"""The socket of an output connection: messages, acknowledgments, replies, farewells."""
+"""The socket of an output connection: messages, acknowledgments, replies, and the end."""
 
 from __future__ import annotations
 

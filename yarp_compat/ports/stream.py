@@ -33,7 +33,10 @@ class ByteStream:
         self._spared = 0.0
 
     def message(self) -> tuple[str, str, Buffer] | None:
-        """Return a message's key, command text and payload; None at the end. Raises `WireError`, also if too large."""
+        """Return a message's key, command text and payload; None at the end.
+
+        Raises `WireError` if the message is invalid or too large.
+        """
         while True:
             start, have = self._start, self._end - self._start
             if have >= _COMMON_SIZE:

@@ -39,5 +39,5 @@ def test_docks_survive_yarps_files(tmp_path: Path) -> None:
 
 
 def test_a_dock_type_that_is_not_one_word_is_rejected() -> None:
-    with pytest.raises(ValueError, match="a dock's type has letters"):
+    with pytest.raises(ValueError, match="a dock's type may only have letters"):
         Dock("two words").to_text()

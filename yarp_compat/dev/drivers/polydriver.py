@@ -49,7 +49,7 @@ class PolyDriver:
     def open(self, config: Searchable | str) -> bool:
         """Open the device named by the option ``device`` with the other options, or a device by its name only.
 
-        Returns False and logs the reason on failure, also if a device is already open.
+        Returns False and logs the reason on failure, for example if a device is already open.
         """
         if self._device is not None:
             log.error("the device %s is already open: close it first", self._name)
