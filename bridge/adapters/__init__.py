@@ -1,1 +1,1 @@
-"""The edges, one package per side, so that a worker loads the code of its side only; and ROS 1's XML-RPC client."""
+"""The edges, one package per side, so that a worker loads only its own side's code; and ROS 1's XML-RPC client."""

@@ -262,11 +262,11 @@ def test_a_server_on_fast_dds_is_refused(site: Site, on_cyclone: tuple[RmwSide, 
     until(lambda: far.status()["cyclone"] == known, "the server and its node are known", 30)
     lines = until(lambda: [line for line in far.explain("/lamp") if line["direction"] == "in"], "it is explained")
     (line,) = lines
-    assert "/lamp is served on another DDS than Cyclone DDS (/lamp)" in line["reason"]
+    assert "/lamp is served on a DDS other than Cyclone DDS (/lamp)" in line["reason"]
     assert "remove ros2.rmw" in line["cure"]
     (warning,) = far.status()["warnings"]
     assert warning.startswith(
-        "/lamp: served on another DDS than Cyclone DDS, so they cannot be called; remove ros2.rmw"
+        "/lamp: served on a DDS other than Cyclone DDS, so they cannot be called; remove ros2.rmw"
     )
     received, out = far.subscribe("/text", STRING), native.advertise("/text", STRING)
     far.publish_until(native, out, {"data": "crosses"}, lambda: far.wait(received, 1, 0.1))
@@ -279,7 +279,7 @@ def test_a_client_on_fast_dds_gets_no_reply(site: Site, on_cyclone: tuple[RmwSid
     serving = far.serve("/far", SET, reply=YES)
     foreign, native = site.program(FAST, "asker"), site.program(CYCLONE, "native")
     calls = [foreign.ask("call", service="/far", type=SET, request={"data": True})["id"] for _ in range(3)]
-    reason = "its client is on another DDS than Cyclone DDS"
+    reason = "its client is not on Cyclone DDS"
     until(lambda: reason in worker.process.output(), "the reason is logged", 30)
     assert call(native, "/far", data=False)["reply"] == YES
     assert [request["data"] for request in serving.requests(1)] == [False]
@@ -287,6 +287,6 @@ def test_a_client_on_fast_dds_gets_no_reply(site: Site, on_cyclone: tuple[RmwSid
     assert not any(foreign.ask("result", id=number, seconds=0)["done"] for number in calls)
 
     def warned() -> bool:
-        return any("/asker on another DDS than Cyclone DDS may call them" in text for text in far.status()["warnings"])
+        return any("/asker on a DDS other than Cyclone DDS may call them" in text for text in far.status()["warnings"])
 
     until(warned, "status warns of it", 30)

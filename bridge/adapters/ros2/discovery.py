@@ -29,7 +29,8 @@ LOCALHOST_CURE = "set ros2.localhost_only: false"
 START_CURE = f"start it, or correct {SERVERS} for the daemon and restart the daemon"
 
 RESTARTED = (
-    "was restarted after the ROS 2 side: if it was killed, programs from before and after may not discover each other"
+    "was restarted after the ROS 2 side: if it was killed, programs from before and after that may not discover each"
+    " other"
 )
 RESTARTED_CURE = "if a program is missing, restart Midspan and the ROS 2 programs that are older than the server"
 

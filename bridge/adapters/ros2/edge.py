@@ -157,7 +157,7 @@ class Ros2Edge(SideEdge):
 
     def _use_new_addresses(self, text: str) -> None:
         if self._config.ros2.profile is not None:  # the profile may exclude the new addresses
-            _log.warning("%s; restart the worker if it should, or restrict it in ros2.profile", text)
+            _log.warning("%s; to use it, restart the worker; to exclude it, restrict ros2.profile", text)
         elif self._listener is not None:
             self._listener.edge_failed(f"{text}: restarting")
 
@@ -332,7 +332,7 @@ class Ros2Edge(SideEdge):
         if other is not None:
             raise MessageTypeError(
                 f"{topic} is already bridged to ROS 2 as {other}, so it cannot also be {type_name}",
-                f"rename one of the two by a rule with 'type: {type_name}': a ROS 2 program has one type per topic",
+                f"rename one of the two with a rule for 'type: {type_name}': a ROS 2 program has one type per topic",
             )
 
     @override

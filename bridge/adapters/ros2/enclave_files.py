@@ -24,7 +24,7 @@ _XML = re.compile(rb"<dds\b.*?</dds>", re.DOTALL)
 
 
 class EnclaveError(Exception):
-    """A file of the enclave cannot be used; the text is the reason. ``file``, or the folder, must be made again."""
+    """A file of the enclave cannot be used; the text is the reason. ``file``, or the folder, must be created again."""
 
     def __init__(self, text: str, file: Path) -> None:
         super().__init__(text)
@@ -94,7 +94,7 @@ def _certificates(file: Path, content: bytes) -> list[Certificate]:
 def _check_identity(folder: Path, certificates: Mapping[str, Sequence[Certificate]], key: bytes | None) -> str:
     """Raise `EnclaveError` if the enclave's key or authority does not fit its certificate.
 
-    Returns the certificate's subject as the permissions name it, or "" if it has another form than the subjects of
+    Returns the certificate's subject as the permissions name it, or "" if its form differs from that of the subjects of
     ``ros2 security``, which consist of one common name.
     """
     if "cert" not in certificates:

@@ -197,7 +197,7 @@ class QueueReadLoop(ReadLoop):
             try:
                 reader.wake(None)
             except rcl.RclError:
-                _log.exception("a reader stays, because rcl may still report its messages")
+                _log.exception("cannot destroy a reader, because rcl may still report its messages")
                 return
             self._queue.remove(data)
         reader.destroy()

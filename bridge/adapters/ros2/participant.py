@@ -34,7 +34,7 @@ _DISCOVERY = "ros_discovery_info"
 class Participant:
     """A node without default endpoints; endpoints can be created and destroyed from any thread.
 
-    Raises `RuntimeError` if rclpy uses another middleware than ``rmw``, or does not join a secured domain.
+    Raises `RuntimeError` if rclpy uses a middleware other than ``rmw``, or does not join a secured domain.
 
     Attributes:
         marks: who created the endpoints on the network.

@@ -3,7 +3,7 @@
 Measured with Fast DDS 2.14.5, against nodes with its default settings:
 
 - Between different users, shared memory delivers nothing although the graph is complete, because each user's
-  shared-memory files are unreadable to others. If this end uses only UDP, data crosses in both directions, and the
+  shared-memory files are unreadable to others. If this end uses only UDP, data is delivered in both directions, and the
   other end needs no change.
 - The discovery range LOCALHOST makes rmw_fastrtps add shared memory again. So this profile limits the range itself:
   the white list admits only loopback. The participant discovers the machine's nodes by multicast on loopback, and nodes

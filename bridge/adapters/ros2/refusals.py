@@ -51,6 +51,6 @@ class Refusals:
                 if len(self._remembered) >= _MOST:
                     self._remembered.clear()
                 self._remembered[key] = self._clock(), reason
-            cure = security.refusal(os.environ) or "rename it by a rule, unless it recovers by itself within seconds"
+            cure = security.refusal(os.environ) or "rename it with a rule, unless it recovers by itself within seconds"
             raise MessageTypeError(reason, cure) from err
         self._remembered.pop(key, None)

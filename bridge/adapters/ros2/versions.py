@@ -1,4 +1,4 @@
-"""Versions of types on the DDS network: endpoints of other releases, whose messages have other fields than here.
+"""Versions of types on the DDS network: endpoints of other releases, whose messages have different fields.
 
 DDS matches endpoints by the name of their type, so an endpoint also receives messages of another version, and decodes
 them wrongly. Endpoints announce the hash of their version (those of Humble announce none). Midspan converts received

@@ -284,7 +284,7 @@ class OwnPorts:
                 self._unmarked[contact] = time.monotonic()  # again at each attempt to join, which is no probe
 
     def unregister_unmarked(self, contacts: Mapping[str, PortContact]) -> None:
-        """Unregister the unmarked ports that have refused connections at each update for some seconds.
+        """Unregister the unmarked ports that have refused connections at each update for a few seconds.
 
         A worker may have been killed before it marked them. Another program may now use the port number, and a new port
         refuses connections until it listens.
@@ -369,7 +369,7 @@ class OwnPorts:
             except CancelledError:  # the adapter is stopping, and the pool no longer runs its jobs
                 self._end(port.core)
             except TimeoutError:
-                _log.warning("closing ports takes long, and continues in the background")
+                _log.warning("some ports are still closing; this continues in the background")
                 return
             except Exception:
                 _log.exception("cannot close a port")

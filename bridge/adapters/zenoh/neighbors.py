@@ -197,7 +197,7 @@ def remember(own: str, file: Path) -> frozenset[str]:
         past = file.read_text(encoding="utf-8").split()[-_MAX_STORED:]
     except OSError:
         past = []
-    keep(file, "\n".join([*past, own]) + "\n", "for some seconds after a crash, its own topics may loop back")
+    keep(file, "\n".join([*past, own]) + "\n", "for a few seconds after a crash, its own topics may loop back")
     return frozenset(past)
 
 

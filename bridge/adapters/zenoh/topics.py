@@ -178,7 +178,7 @@ class KeyPublisher:
 class SampleQueue:
     """A bounded queue that drops its oldest messages; for commands (depth 1, volatile) it stores only the newest.
 
-    Messages are delivered in order and one at a time, also while the queue changes from ``small`` to ``bulk``.
+    Messages are delivered in order and one at a time, even while the queue changes from ``small`` to ``bulk``.
     """
 
     def __init__(self, deliver: Deliver, qos: Qos, context: KeyContext) -> None:
@@ -258,7 +258,7 @@ class KeySubscription:
             self.accept(sample, source)
 
     def native(self, sample: zenoh.Sample) -> str:
-        """Return the endpoint that published a sample; "" if the sample is to be ignored."""
+        """Return the endpoint that published a sample; "" to ignore the sample."""
         if not self._open or sample.kind != zenoh.SampleKind.PUT or is_marked(sender(sample)):
             return ""
         return self._source_of(sample)

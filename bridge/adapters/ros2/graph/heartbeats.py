@@ -95,7 +95,7 @@ class Heartbeats:
     def _send(self) -> None:
         now = time.monotonic()
         with self._lock:
-            pending = self._pending  # also if the time is over: this thread may not have run before
+            pending = self._pending  # even if the time is over: this thread may not have run before
             self._pending = {writer: prepared for writer, prepared in pending.items() if now < prepared.end}
             again = bool(self._pending)
         try:

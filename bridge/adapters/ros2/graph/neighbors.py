@@ -7,7 +7,7 @@ silently delivers nothing. The prefix's bytes 4 and 5 are the low half of the pr
 DDS loaded, and with the same /dev/shm.
 
 Fast DDS 2 and 3 announce shared memory in different ways (locators of kind 0x10 and 0x13), and name its files
-differently. Neither uses the other's files: messages between them go over UDP, also between users.
+differently. Neither uses the other's files: messages between them use UDP, which works between users.
 
 A participant that was killed just after its start has no process either, and stays on the graph until its lease ends.
 While fewer of the domain's ports are bound than participants of this host are known, one of these participants has died

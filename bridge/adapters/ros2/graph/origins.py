@@ -1,8 +1,9 @@
 """Decides which ROS 2 origins on the hub are on this worker's DDS network.
 
 DDS networks have no identity: two networks with "domain 0" are one only if their participants discover each other. So a
-Midspan participant that is discovered here is on this network. An undiscovered participant may still appear. Its origin
-counts as own for `DISCOVERY_SECONDS`, because nothing may be bridged while an origin is unknown.
+Midspan participant that is discovered here is on this network. A participant that has not been discovered yet may
+still appear. Its origin counts as being on this network for `DISCOVERY_SECONDS`, because nothing may be bridged while
+an origin is unknown.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ class Origins:
 
     ``own`` is this participant's GUID prefix. ``folder`` stores the prefixes of this daemon's participants: ``past``
     has all of them, ``predecessors`` the newest dead ones. Their origins count as own, because a hub session may
-    outlive its dead worker for some seconds. ``participants`` returns the GUID prefixes on this DDS network now;
+    outlive its dead worker for a few seconds. ``participants`` returns the GUID prefixes on this DDS network now;
     ``settled`` is called, through ``later``, when an origin's `DISCOVERY_SECONDS` are over.
     """
 
@@ -84,7 +85,7 @@ def remember(own: bytes, folder: Path) -> list[bytes]:
     """Store this participant's prefix, and return all stored ones, the new one last."""
     prefixes = [*(p for p in stored_prefixes(folder) if p != own), own][-_MAX_STORED:]
     text = "".join(f"{prefix.hex()}\n" for prefix in prefixes)
-    keep(folder / _FILE, text, "for some seconds after a crash, its own topics may loop back")
+    keep(folder / _FILE, text, "for a few seconds after a crash, its own topics may loop back")
     return prefixes
 
 

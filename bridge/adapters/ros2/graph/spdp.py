@@ -2,9 +2,10 @@
 
 **Disposal.** Other participants notice a crash only when the lease expires, after 20 s. A short lease does not help:
 after a longer suspension or disconnection, the others have dropped the participant, but it has not dropped them, and
-such participants match again without ever completing their discovery (observed with Fast DDS 2.14.5: data never crosses
-again). So the lease keeps its default, and the successor of a killed worker sends what a clean exit would send: a
-``DATA`` submessage with the status "disposed and unregistered" (DDSI-RTPS 2.5, 8.5.5.1, 9.4.5.4, 9.6.4.9).
+such participants match again without ever completing their discovery (observed with Fast DDS 2.14.5: no data is
+exchanged any longer). So the lease keeps its default, and the successor of a killed worker sends what a clean exit
+would send: a ``DATA`` submessage with the status "disposed and unregistered" (DDSI-RTPS 2.5, 8.5.5.1, 9.4.5.4,
+9.6.4.9).
 
 **Prompt.** A new participant announces itself, and every other participant responds once, immediately. Fast DDS
 receives only after its first announcement, so responses within a millisecond are lost, and their senders announce

@@ -1,4 +1,4 @@
-"""Nodes on Cyclone DDS, whose requests and replies have another form than on Fast DDS.
+"""Nodes on Cyclone DDS, whose requests and replies have a different form from Fast DDS's.
 
 The first two bytes of a GUID prefix are its vendor's (DDSI-RTPS 2.5, 9.3.1.5): 01 0f is eProsima, whose Fast DDS
 Midspan uses, 01 10 is Eclipse Cyclone DDS. A server on Cyclone DDS would execute a request in Fast DDS's form shifted
@@ -18,9 +18,7 @@ from bridge.messages.actions import split
 from bridge.routing.edge import Endpoint, Kind, MadeBy, Obstacle
 
 CYCLONE = b"\x01\x10"
-CLIENT_NOT_ON_CYCLONE = (
-    "its client is on another DDS than Cyclone DDS, which gets no replies while ros2.rmw is rmw_cyclonedds_cpp"
-)
+CLIENT_NOT_ON_CYCLONE = "its client is not on Cyclone DDS, and gets no replies while ros2.rmw is rmw_cyclonedds_cpp"
 CURE = "stop one of them, or rename one with a remapping of its node"
 CURE_MIXED = "run both on the same RMW_IMPLEMENTATION, or in two domains, each with a Midspan daemon"
 _CURE_ON_CYCLONE = "remove ros2.rmw (on Fast DDS Midspan reaches services of both), or run these nodes on Cyclone DDS"
@@ -160,7 +158,7 @@ def of_servers(service: str, servers: Iterable[Endpoint]) -> Obstacle | None:
     reason = (
         f"{service} is served on Cyclone DDS ({_nodes(cyclone)}) and on another DDS ({_nodes(others)}): DDS delivers"
         " each request to all servers, and a server would execute a request in the other DDS's form with wrong values,"
-        " so it was not sent"
+        " so the request was not sent"
     )
     return Obstacle(reason, CURE)
 
@@ -168,8 +166,8 @@ def of_servers(service: str, servers: Iterable[Endpoint]) -> Obstacle | None:
 def not_on_cyclone(service: str, servers: Iterable[Endpoint] = ()) -> Obstacle:
     """Return why a client on Cyclone DDS cannot call a service; ``servers`` are its servers on another DDS."""
     reason = (
-        f"{service} is served on another DDS than Cyclone DDS ({_nodes(servers) or UNNAMED}): Midspan, which is on"
-        " Cyclone DDS, can neither send a request in the other's form nor match its reply, so it was not sent"
+        f"{service} is served on a DDS other than Cyclone DDS ({_nodes(servers) or UNNAMED}): Midspan, which is on"
+        " Cyclone DDS, can neither send a request in the other's form nor match its reply"
     )
     return Obstacle(reason, _CURE_ON_CYCLONE)
 
@@ -208,7 +206,7 @@ def warning(cyclone: dict[str, Any]) -> str:
 
 
 def _served_elsewhere(endpoints: Iterable[Endpoint]) -> list[Endpoint]:
-    """Return the native servers on another DDS than Cyclone DDS."""
+    """Return the native servers on a DDS other than Cyclone DDS."""
     return _by_dds(end for end in endpoints if end.kind is Kind.SERVER)[1]
 
 
@@ -240,13 +238,13 @@ def warnings_on_cyclone(endpoints: Collection[Endpoint], served: Collection[str]
     warnings = [text] if (text := mixed_warning(report["mixed"])) else []
     names = report["uncallable"]
     if names:
-        text = "served on another DDS than Cyclone DDS, so they cannot be called"
+        text = "served on a DDS other than Cyclone DDS, so they cannot be called"
         warnings.append(f"{', '.join(names)}: {text}; {_CURE_ON_CYCLONE}")
     clients = [end for end in endpoints if end.kind is Kind.CLIENT and end.topic in served]
     _, others = _by_dds(clients)
     if others:
         names = sorted({split(end.topic)[0] or end.topic for end in others})
-        text = f"{_nodes(others)} on another DDS than Cyclone DDS may call them, but gets no replies"
+        text = f"{_nodes(others)} on a DDS other than Cyclone DDS may call them, but gets no replies"
         warnings.append(f"{', '.join(names)}: {text}; {_CURE_ON_CYCLONE}")
     return warnings
 

@@ -1,4 +1,4 @@
-"""Requests of clients whose origin is unknown yet: they are served once a native program is known to have sent them."""
+"""Requests from clients whose origin is not known yet, which are served if the clients prove to be native programs."""
 
 from __future__ import annotations
 

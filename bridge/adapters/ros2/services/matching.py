@@ -45,7 +45,7 @@ class MatchCounter:
     """Counts the peers that the writer of a client (``rcl_client_t *``) or a service (``rcl_service_t *``) has matched.
 
     Discovery updates the graph before the writer. So while the total of a client stays the same, no server has appeared
-    since the graph was last read. Reading a count takes some microseconds, regardless of the size of the graph.
+    since the graph was last read. Reading a count takes a few microseconds, regardless of the size of the graph.
     """
 
     def __init__(self, pointer: int, kind: str) -> None:

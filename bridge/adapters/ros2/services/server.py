@@ -255,7 +255,7 @@ class Ros2Server(ServiceEndpoint, EdgeServer):
 
     @override
     def destroy(self) -> None:
-        """Destroy the service, also while a reply is being sent."""
+        """Destroy the service, even while a reply is being sent."""
         with self._alive:
             self._destroyed = True
             super().destroy()

@@ -28,7 +28,7 @@ LATCHED_DEPTH = 128
 """Minimum depth of a reader of latched publishers, as KEEP_LAST counts over all its writers, which send at once."""
 
 VOLATILE_DEPTH = 32
-"""Minimum depth of the other readers: room for messages while the loop is delayed by some milliseconds."""
+"""Minimum depth of the other readers: room for messages while the loop is delayed by a few milliseconds."""
 
 _SEQUENCES = 32
 """Number of publishers per reader whose sequence numbers are tracked before departed publishers are removed."""

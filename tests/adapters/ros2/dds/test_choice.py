@@ -57,7 +57,7 @@ def test_on_cyclone_dds_servers_on_another_are_an_obstacle() -> None:
     for servers in ([endpoint(FAST)], [endpoint(CYCLONE), endpoint(FAST)]):
         obstacle = cyclone.obstacle("/lamp", servers)
         assert obstacle is not None
-        assert "/lamp is served on another DDS than Cyclone DDS (/of_010f)" in obstacle.reason
+        assert "/lamp is served on a DDS other than Cyclone DDS (/of_010f)" in obstacle.reason
         assert "remove ros2.rmw" in obstacle.cure
 
 
@@ -75,8 +75,8 @@ def test_on_cyclone_dds_what_cannot_be_reached_is_reported() -> None:
         "nodes": ["/of_0110"], "both": [], "mixed": [], "foreign": ["/of_010f", "/quiet"], "uncallable": ["/lamp"],
     }  # fmt: skip
     assert [text.partition(";")[0] for text in warnings] == [
-        "/lamp: served on another DDS than Cyclone DDS, so they cannot be called",
-        "/ours: /asker on another DDS than Cyclone DDS may call them, but gets no replies",
+        "/lamp: served on a DDS other than Cyclone DDS, so they cannot be called",
+        "/ours: /asker on a DDS other than Cyclone DDS may call them, but gets no replies",
     ]
 
 
