@@ -118,7 +118,7 @@ def print_wait(text: str) -> None:
 
 
 def router_hint(config: Config) -> str:
-    """Return a probable reason why no router answers at the hub's endpoint, also if this machine's router hangs."""
+    """Return a probable reason why no router answers at the hub's endpoint, such as that this machine's hangs."""
     unresponsive = unresponsive_router(config)
     if unresponsive:
         return f"{unresponsive}; 'midspan doctor' names the cause, and the router's log may, too"
@@ -156,5 +156,5 @@ def warn_of_refusals(client: Client, published: Iterable[tuple[str, str, str]]) 
 
 
 def of_this_machine(args: argparse.Namespace) -> bool:
-    """Whether the command line names no other hub than that of this machine's daemon."""
+    """Whether the command line names no hub other than that of this machine's daemon."""
     return args.router is None and args.hub_domain is None

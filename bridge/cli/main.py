@@ -34,8 +34,8 @@ class Verb(NamedTuple):
 
 VERBS: dict[str, Verb] = {
     "run": Verb("bridge.cli.daemon.run:register_run", "run the daemon: start, watch and restart the workers"),
-    "worker": Verb("bridge.cli.daemon.run:register_worker", "run one worker, also on another machine"),
-    "module": Verb("bridge.cli.daemon.run:register_module", "run one hosted module, also on another machine"),
+    "worker": Verb("bridge.cli.daemon.run:register_worker", "run one worker, on this machine or another"),
+    "module": Verb("bridge.cli.daemon.run:register_module", "run one hosted module, on this machine or another"),
     "reload": Verb("bridge.cli.daemon.reload:register", "make the running daemon reload its configuration"),
     "sim": Verb(
         "bridge.cli.daemon.sim:register",
@@ -70,7 +70,7 @@ VERBS: dict[str, Verb] = {
         "bridge.cli.setup.config:register_config", "check a configuration file; print its schema or an example"
     ),
     "import": Verb("bridge.cli.setup.config:register_import", "convert another bridge's configuration to Midspan's"),
-    "interfaces": Verb("bridge.cli.setup.interfaces:register", "build ROS 2 message packages that are missing"),
+    "interfaces": Verb("bridge.cli.setup.interfaces:register", "build missing ROS 2 message packages"),
     "keys": Verb("bridge.cli.setup.keys:register", "make and show the certificates of a fleet's machines"),
     "install": Verb("bridge.cli.setup.install:register_install", "install the systemd services"),
     "demo": Verb("bridge.demo.command:register", "run a simulated robot that clients of every side send to rooms"),
@@ -112,7 +112,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         # a Windows console may lack a character: show its escape sequence
         sys.stdout.reconfigure(errors="backslashreplace")
     arguments = list(sys.argv[1:] if argv is None else argv)
-    debug = "--debug" in arguments  # anywhere, also after the command
+    debug = "--debug" in arguments  # anywhere, even after the command
     arguments = [argument for argument in arguments if argument != "--debug"]
     try:
         named = _named_verb(arguments)

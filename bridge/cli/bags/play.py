@@ -71,12 +71,12 @@ def register(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     when = parser.add_argument_group("when")
     when.add_argument("--rate", type=number_in(0.01, 100), default=1.0, metavar="R", help="speed factor (default 1)")
-    when.add_argument("--loop", action="store_true", help="begin again at the end, until Ctrl-C")
+    when.add_argument("--loop", action="store_true", help="start over at the end, until Ctrl-C")
     when.add_argument(
         "--start", type=span, default=0.0, metavar="TIME", help="start this long after the beginning of the bags"
     )
     when.add_argument("--duration", type=span, metavar="TIME", help="stop after this much bag time")
-    when.add_argument("--paused", action="store_true", help="begin paused")
+    when.add_argument("--paused", action="store_true", help="start paused")
     when.add_argument(
         "--clock", type=number_in(1, 1000), nargs="?", const=CLOCK_HZ, default=0.0, metavar="HZ",
         help=f"publish the bags' time on /clock at this rate (default {CLOCK_HZ:g}); the time stops during a pause",

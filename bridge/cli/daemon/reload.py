@@ -10,8 +10,8 @@ from bridge.cli.output import CliError
 
 def register(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Makes the running daemon check and load its configuration file again, as SIGHUP does; only workers that use a"
-        " change reload. If the file has a problem, the daemon keeps the configuration that it runs."
+        "Makes the running daemon check and load its configuration file again, as SIGHUP does; only the workers that"
+        " a change affects reload. If the file has a problem, the daemon keeps its running configuration."
     )
     add_config(parser)
     parser.set_defaults(run=run)

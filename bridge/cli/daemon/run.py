@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 def register_run(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Runs the daemon in the foreground. SIGHUP or 'midspan reload' checks and reloads the configuration; only"
-        " workers that use a change reload. SIGTERM or Ctrl-C stops everything in order, a second one stops it at once."
+        " the workers that a change affects reload. SIGTERM or Ctrl-C stops everything in order, a second one at once."
     )
     add_config(parser)
     parser.add_argument(

@@ -23,7 +23,11 @@ def register(parser: argparse.ArgumentParser) -> None:
     add_config(parser)
     parser.add_argument("--plan", metavar="PLAN", help="name of a floor plan, or a file; see --list")
     parser.add_argument("--robot", metavar="ROBOT", help="name of a robot, or a file; see --list")
-    parser.add_argument("--speed", metavar="SPEED", help="1.0 is real time; 'max'; 'step': when a client requests it")
+    parser.add_argument(
+        "--speed",
+        metavar="SPEED",
+        help="1.0: real time; 'max': as fast as possible; 'step': only when a client requests a step",
+    )
     parser.add_argument("--list", action="store_true", help="list Midspan's plans and robots, and exit")
     parser.add_argument("--export", type=Path, metavar="FOLDER", help="write the plan's maps and locations, and exit")
     parser.add_argument("--resolution", type=float, metavar="METERS", help="cell size for --export (default 0.05)")

@@ -201,7 +201,7 @@ _INTERVAL = 2.0
 def _register_monitor(verbs: Any) -> None:
     parser = add_verb(
         verbs, "monitor", _monitor, "print rates, delays, authorities and ages of frames",
-        "Prints each frame's rate, its delay from stamp to arrival (between machines only as exact as their clocks;"
+        "Prints each frame's rate, its delay from stamp to arrival (between machines only as accurate as their clocks;"
         " negative if stamped ahead), its publishers, and the time since its last message, until Ctrl-C or for"
         " --duration. With two frames, it prints only the frames between them, and the age of the newest transform.",
         hub=False,

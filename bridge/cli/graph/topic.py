@@ -115,7 +115,7 @@ def _text(args: argparse.Namespace, topic: str, types: Types, arrival: Arrival) 
 
 def _report_losses(feed: TopicFeed) -> None:
     if feed.overrun:
-        print(f"{feed.overrun} messages were not shown: they come faster than they can be printed", file=sys.stderr)
+        print(f"{feed.overrun} messages were not shown: they arrive faster than they can be printed", file=sys.stderr)
     if feed.lost:
         print(f"{feed.lost} messages were lost on the hub", file=sys.stderr)
 
@@ -190,7 +190,7 @@ def _publish(args: argparse.Namespace, publisher: Publisher, cdr: bytes) -> None
         if sent < count:
             interruptible(never.wait, max(0.0, due - time.monotonic()))
     if kept and not args.once and args.count is None:
-        print("published; kept for late joiners until Ctrl-C", file=sys.stderr)
+        print("published; stored for late joiners until Ctrl-C", file=sys.stderr)
         interruptible(never.wait)
     never.wait(_LINGER_SECONDS)
 

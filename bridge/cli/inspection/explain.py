@@ -197,9 +197,9 @@ def _hub_notes(
         notes.append(Note(f"the network of {who} is not known yet, so no messages from there are bridged"))
     if publishers and not any(p.qos.latched for p in publishers) and any(s.qos.latched for s in subscriptions):
         who = owners(s for s in subscriptions if s.qos.latched)
-        text = f"{who} requests earlier messages (transient local), but no publisher keeps them"
+        text = f"{who} requests earlier messages (transient local), but no publisher stores them"
         cure = (
-            "if the publisher cannot be changed, a rule with qos: {durability: transient_local} keeps its last message"
+            "if the publisher cannot be changed, a rule with qos: {durability: transient_local} stores its last message"
         )
         notes.append(Note(text, cure))
     return notes
@@ -326,10 +326,10 @@ def _as_json(explanation: Explanation) -> dict[str, Any]:
 def _calls(route: RouteStatus) -> str:
     if not route.messages:
         return "no call yet"
-    under_way = f", {route.pending} under way" if route.pending else ""
+    pending = f", {route.pending} pending" if route.pending else ""
     return (
         f"{plural(route.messages, 'call')}, the last one {duration(route.age)} ago: {route.replies or 0}"
-        f" replies, {route.errors or 0} errors, {route.abandoned or 0} given up by their clients{under_way}"
+        f" replies, {route.errors or 0} errors, {route.abandoned or 0} abandoned by their clients{pending}"
     )
 
 

@@ -236,7 +236,7 @@ _INTERVAL = 1.0
 def register_top(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Shows every route of every worker on the hub until Ctrl-C: messages per second, latency (from the source's"
-        " time stamp to delivery; between machines only as exact as their clocks), messages, drops by reason, age of"
+        " time stamp to delivery; between machines only as accurate as their clocks), messages, drops by reason, age of"
         " the last message. Without a terminal it prints the table once, or every --interval seconds."
     )
     parser.add_argument("--once", action="store_true", help="print the table once and exit")

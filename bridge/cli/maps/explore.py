@@ -51,7 +51,7 @@ def register(verbs: Any) -> None:
         verbs, "explore", run, "drive to the borders of the growing map until none is left",
         "Explores an unknown floor by sending goals to the gateway. The goals are frontiers, where free cells of"
         " Mapper2D's map touch unknown cells; near and large frontiers come first. It ends when no reachable frontier"
-        f" is left, when anybody stops the robot or sends another goal, after {MOST_FAILURES} failed goals in a row,"
+        f" is left, when a client stops the robot or sends another goal, after {MOST_FAILURES} failed goals in a row,"
         " and at the limits of time and goals. Ctrl-C, SIGTERM and SIGHUP cancel the goal. The exit code is 0 if the"
         " exploration is complete, 1 if it ended earlier, and 130, 143 or 129 after these signals.",
         example="midspan map explore --seconds 1800",
@@ -148,7 +148,7 @@ class _Floor:
 
 
 class _Watch:
-    """Detects from the gateway's status that a client has stopped the robot or sent a goal, also between two goals.
+    """Detects from the gateway's status that a client has stopped the robot or sent a goal, even between two goals.
 
     After the first goal has begun, the gateway is idle only if a goal was canceled or the robot was stopped. Before
     that, an idle gateway means nothing, and only a reason that begins with `_STOPPING` shows a stop.

@@ -64,7 +64,7 @@ def _import_maps(args: argparse.Namespace) -> int:
         if twice or existing:
             kind, name = min(twice or existing)
             where = "twice in the files" if twice else "already stored; --replace replaces it"
-            raise CliError(f"{kind} {name!r} is {where}; nothing is imported")
+            raise CliError(f"nothing imported: {kind} {name!r} is {where}")
         stored.write(writes)
     for kind, name in names:
         print(f"{kind} {clean(name)}" if kind != CURRENT.name else f"{clean(maps[0].name)} is in use")

@@ -21,7 +21,7 @@ from bridge.module_keys import GatewayKeys
 from bridge.text import clean, plural
 
 _ZERO_SECONDS = 1.0  # for which zero velocity is published
-_DONE = {"stop": "stopped: no goal is under way", "pause": "paused", "resume": "resumed"}
+_DONE = {"stop": "stopped: no goal is active", "pause": "paused", "resume": "resumed"}
 
 
 def register(parser: argparse.ArgumentParser) -> None:

@@ -73,7 +73,7 @@ def register_undock(parser: argparse.ArgumentParser) -> None:
 def register_waypoints(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Drives to locations or areas of the store in turn with the planner's action follow_waypoints (Nav2's"
-        " waypoint_follower), which stops at each, may execute a task there, and goes on if one cannot be reached."
+        " waypoint_follower), which stops at each, may execute a task there, and continues if one cannot be reached."
         " 'midspan goto A B C' drives through them with any planner. Exit code 1 if a place was missed."
     )
     parser.epilog = "Example: midspan waypoints hall office kitchen"

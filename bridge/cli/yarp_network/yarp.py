@@ -43,10 +43,10 @@ def _register_server(verbs: Any) -> None:
         " and listens on loopback unless --host is given.", hub=False,
     )  # fmt: skip
     parser.add_argument(
-        "--host", metavar="ADDRESS", help="address of this machine to listen at (default: yarp.conf's, else 127.0.0.1)"
+        "--host", metavar="ADDRESS", help="address of this machine to listen on (default: yarp.conf's, else 127.0.0.1)"
     )
     parser.add_argument("--port", type=int, metavar="N", help=f"TCP port (default: yarp.conf's, {config.DEFAULT_PORT})")
-    parser.add_argument("--write", action="store_true", help="write the address to yarp.conf, for programs to find")
+    parser.add_argument("--write", action="store_true", help="write the address to yarp.conf, so that programs find it")
     parser.add_argument(
         "--state", type=Path, metavar="FILE", help="file of its state (default: yarp.names.json next to yarp.conf)"
     )
