@@ -1,4 +1,4 @@
-"""Gathers what the checks examine, in a program that is on the hub."""
+"""Collects the input of the checks, in a program that has already joined the hub."""
 
 from __future__ import annotations
 

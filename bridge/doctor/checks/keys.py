@@ -74,4 +74,4 @@ def _unusable(files: KeyFiles) -> list[Finding]:
 def _key_mode(files: KeyFiles) -> list[Finding]:
     if not files.others_may_use_key():
         return []
-    return [warn(f"other users may use {files.key}, and so impersonate this machine", f"chmod 600 {files.key}")]
+    return [warn(f"other users can use {files.key} to impersonate this machine", f"chmod 600 {files.key}")]

@@ -14,7 +14,7 @@ _CURE_HASHES = (
     "nothing to do if their message packages have the same definitions as this machine's; otherwise rename their topics"
     " with a rule"
 )
-_UNNOTICED = "these nodes have no type hashes, so nobody notices if their definitions differ"
+_UNNOTICED = "these nodes have no type hashes, so differences between their definitions remain unnoticed"
 _CURE_MEMORY = "nothing to do: messages between Fast DDS 2 and Fast DDS 3 use UDP, at a lower rate for large ones"
 
 

@@ -117,7 +117,7 @@ def _daemons_domain(context: CheckContext) -> tuple[int, str]:
 
 
 def _range(context: CheckContext) -> list[Finding]:
-    """Check that this shell's programs discover others, also on other machines if the daemon does."""
+    """Check that this shell's programs discover others, including on other machines if the daemon does."""
     environ, local = context.environ, context.config.ros2.localhost_only
     reach = environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper()
     if reach == "OFF":

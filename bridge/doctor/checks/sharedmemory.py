@@ -2,8 +2,8 @@
 
 Fast DDS 2 creates segments ``fastrtps_<16 hex>`` and ports ``fastrtps_port<n>``, Fast DDS 3 ``fastdds_...``; neither
 uses files of the other. Their users hold a lock (flock) on the file ``<name>_el``. zenoh 1.10 creates
-``<number>.zenoh`` and locks the file itself. On Linux ``/proc/locks`` lists the locked files, also those of other users
-(verified for both).
+``<number>.zenoh`` and locks the file itself. On Linux ``/proc/locks`` lists the locked files, including those of other
+users (verified for both).
 """
 
 from __future__ import annotations
@@ -107,9 +107,10 @@ def check_ports(context: CheckContext) -> Findings:
     if not mute:
         return ok("all ROS 2 programs listen at their ports")
     seen = (
-        "the shared memory of a ROS 2 program that did not run for a moment was removed by others, so that it receives"
+        "other ROS 2 programs removed the shared memory of a program while it was not running, so it receives nothing"
+        f" over shared memory: {', '.join(mute)}"
     )
-    return warn(f"{seen} nothing over it: {', '.join(mute)}", "restart it; or, if it is suspended, continue it")
+    return warn(seen, "restart it, or resume it if it is suspended")
 
 
 def _program(process: Path) -> str:

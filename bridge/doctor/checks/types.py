@@ -49,7 +49,7 @@ def check_compiler(context: CheckContext) -> Findings:
     try:
         compiler = Compiler.find()
     except BuildError as err:
-        return warn(f"{err}: message packages that are missing cannot be built", err.cure)
+        return warn(f"{err}: missing message packages cannot be built", err.cure)
     return ok(f"{compiler.cpp}")
 
 

@@ -44,7 +44,7 @@ def check_environment(context: CheckContext) -> Findings:
     if configured is None:
         place = wanted or Address("127.0.0.1", conf.DEFAULT_PORT)
         cure = f"for programs of this user: echo '{place.host} {place.port} yarp' > {_file(context)}"
-        return warn(f"there is no {_file(context)}: YARP programs of this shell find no name server", cure)
+        return warn(f"{_file(context)} does not exist: YARP programs of this shell cannot find the name server", cure)
     if wanted is not None and (wanted.host, wanted.port) != (configured.host, configured.port):
         seen = f"yarp.address is {wanted.host}:{wanted.port}, {_file(context)} has {configured.host}:{configured.port}"
         return warn(seen, "set both to the same address, unless these are two names of one machine")
