@@ -1,6 +1,6 @@
-"""The control plane: questions and answers in JSON between Midspan's programs, as zenoh queries.
+"""The control plane: requests and replies in JSON between Midspan's programs, as zenoh queries.
 
-A worker answers on ``@midspan/<domain>/<daemon>/<worker>/<verb>``. The answer is ``{"value": ...}`` or
+A worker replies on ``@midspan/<domain>/<daemon>/<worker>/<verb>``. The reply is ``{"value": ...}`` or
 ``{"error": "..."}``, with ``wire``, the version of `bridge.hub.wire.version`, and ``daemon``, the identity of the
 worker's daemon (`bridge.hub.daemons`). Subscribers to ``**`` do not receive keys that start with ``@``.
 """
@@ -42,7 +42,7 @@ EVERY_DOMAIN = "*"
 """The domain of a `Control` that answers the queries of all domains."""
 
 _MAX_PENDING = 64
-_MAX_QUESTION = 1 << 20
+_MAX_REQUEST = 1 << 20
 _MAX_ANSWERS = 1000
 _THREADS = 2
 
@@ -95,7 +95,7 @@ class Control:
             if self._pending.acquire(blocking=False):
                 self._pool.submit(lambda: self._reply(query, key, handler))
             else:
-                _reply(query, key, self._error("too many questions at once; ask again later"))
+                _reply(query, key, self._error("too many requests at once; try again later"))
 
         asked = zenoh.handlers.Callback(enqueue, indirect=False)
         serving = self._session.declare_queryable(key, asked, complete=True)
@@ -160,14 +160,14 @@ def _params(query: zenoh.Query) -> dict[str, Any]:
     payload = query.payload
     if payload is None:
         return {}
-    if len(payload) > _MAX_QUESTION:
-        raise HubError(f"question of {len(payload)} bytes, more than {_MAX_QUESTION}")
+    if len(payload) > _MAX_REQUEST:
+        raise HubError(f"request of {len(payload)} bytes, more than {_MAX_REQUEST}")
     try:
         params = json.loads(payload.to_bytes())
     except (ValueError, RecursionError):
         params = None
     if not isinstance(params, dict):
-        raise HubError("a question's parameters must be a JSON object")
+        raise HubError("a request's parameters must be a JSON object")
     return params
 
 

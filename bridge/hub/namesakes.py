@@ -85,8 +85,8 @@ class DaemonNames:
 
     Args:
         status: answers to ``status``, at least those of the routers.
-        own_session: a session at the own router.
-        own: instance ids that the own daemon may have, most likely first.
+        own_session: a session at this daemon's router.
+        own: instance ids that this daemon may have, most likely first.
     """
 
     def __init__(self, status: Sequence[WorkerAnswer], own_session: str, own: Sequence[str] = ()) -> None:
@@ -115,7 +115,7 @@ class DaemonNames:
                 self._here.setdefault(answer.daemon, {})[answer.identity.instance] = answer.identity
 
     def _router(self, answer: WorkerAnswer) -> str:
-        """Return the router of the answer's daemon if several have this name and it is not the own router, else ""."""
+        """Return the router of the answer's daemon if several have its name and it is not this daemon's, else ""."""
         routers = self._routers.get(answer.daemon, {})
         if len(routers) > 1:
             for zid, sessions in routers.items():

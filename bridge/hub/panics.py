@@ -14,7 +14,7 @@ import threading
 
 import zenoh
 
-FAILED = "zenoh has failed in this process: a thread of it panicked, and it can no longer declare anything"
+FAILED = "zenoh has failed in this process: one of its threads panicked, and it can no longer declare anything"
 
 _KEY = "@midspan/declares"
 _lock = threading.Lock()

@@ -1,4 +1,4 @@
-"""Has sessions join a router again, so that it announces them to a session that has lost its link to them.
+"""Makes sessions rejoin a router, so that it announces them again to a session that has lost its link to them.
 
 A session of rmw_zenoh sends its address to routers only. Of two sessions, the one with the greater zenoh id opens the
 direct link (``autoconnect_strategy``), and it learns the other's address from the router, once. So if a link ends whose

@@ -104,8 +104,8 @@ def _rules_messages(config: zenoh.Config) -> bool:
 class HubSession:
     """A zenoh session on the hub, with its graph and its links, for one or several of a process's nodes.
 
-    Opening does not wait for the router: the session joins as soon as the router answers, also after a lost connection.
-    Only in zenoh's client mode must the router be running at the start.
+    Opening does not wait for the router: the session joins as soon as the router answers, and again after a lost
+    connection. Only in zenoh's client mode must the router be running at the start.
 
     Attributes:
         zenoh: the zenoh session.

@@ -59,7 +59,7 @@ def session_tree(router: str | None, *, shared_memory: bool, max_payload: int) -
     tree["listen"] = {"endpoints": list(LISTENERS)}
     tree["connect"] = {
         "endpoints": [] if router is None else [router],
-        # a peer does not wait for its router but retries, also after losing the link; a client cannot open without it
+        # a peer does not wait for its router but retries, even after losing the link; a client cannot open without it
         "timeout_ms": {"router": -1, "peer": -1, "client": CLIENT_WAIT_MS},
         "exit_on_failure": {"router": False, "peer": False, "client": True},
         "retry": {"period_init_ms": 250, "period_max_ms": 1000, "period_increase_factor": 2},

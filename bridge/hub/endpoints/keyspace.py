@@ -186,7 +186,7 @@ class KeySpace:
             )
             return list(self._items(replies))
         except zenoh.ZError as err:
-            raise HubError(f"cannot ask for {keys}: {zenoh_reason(err)}") from None
+            raise HubError(f"cannot query {keys}: {zenoh_reason(err)}") from None
         finally:
             with self._lock:
                 self._asking.discard(token)

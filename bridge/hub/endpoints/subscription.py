@@ -37,7 +37,7 @@ OVERHEAD = 256
 """Bytes that a held sample uses in addition to its payload."""
 
 _CURE = (
-    "limit the topic's rate by a rule, or if the messages are large raise, in hub.zenoh of the sender's machine,"
+    "limit the topic's rate with a rule, or if the messages are large raise, in hub.zenoh of the sender's machine,"
     " transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments (docs/sides/hub.md, Congestion)"
 )
 

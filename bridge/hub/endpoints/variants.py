@@ -35,7 +35,7 @@ CONVERTED = zenoh.Encoding("application/cdr;converted")
 """Encoding of a sample that a publisher converted from its own version of the type; other samples have none."""
 
 RELAYED = zenoh.Encoding("application/cdr;relayed")
-"""Encoding of a sample that Midspan's relay (`bridge.routing.relay`) published under another hash than its publisher.
+"""Encoding of a sample that Midspan's relay (`bridge.routing.relay`) published under a hash other than its publisher's.
 Midspan's subscriptions ignore it, because they receive the original."""
 
 REQUEST, RESPONSE = "Request", "Response"

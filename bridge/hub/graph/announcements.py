@@ -95,7 +95,7 @@ class SessionAnnouncements:
         return True
 
     def delete(self, key: str) -> bool:
-        """Remove a token; return whether the watches are to be called. Raises `HubWireError` if it is malformed."""
+        """Remove a token; return whether to call the watches. Raises `HubWireError` if it is malformed."""
         if key.startswith(self._member_space):
             return self._delete_member(*parse_member(key))
         for space, (parse, values, _, watched) in self._sets.items():

@@ -129,7 +129,7 @@ class LinkRestarts:
             lost.pause = lost.pauses.pause(0.0)
 
     def close(self) -> None:
-        """Stop following tokens; the own token ends with the session, and so not before the links."""
+        """Stop following tokens; this router's token ends with the session, and so not before the links."""
         undeclare(self._subscriber, self._ids)
 
     def _send_id(self) -> None:

@@ -1,4 +1,4 @@
-"""Endpoints of other releases, in which types have other fields than here: Nav2's actions, messages and services."""
+"""Endpoints of other releases, in which types have different fields: Nav2's actions, messages and services."""
 
 from __future__ import annotations
 
