@@ -127,7 +127,7 @@ class Feeds:
         self._topics: dict[str, Feed] = {}
 
     def find(self, name: str) -> Feed:
-        """Return the feed with this name; raises `LookupError` with the reason if there is no such feed."""
+        """Return the feed with this name; raises `LookupError` with the reason if the name is unknown."""
         if name in self.fixed:
             return self.fixed[name]
         make = next((make for begin, make in self._factories.items() if name.startswith(begin)), None)

@@ -36,7 +36,7 @@ class FrameFollower:
         return self._frames
 
     def grid_frame(self, topic: str, grid: dict[str, Any], most: int) -> Pose:
-        """Return the pose of a grid's frame on the map; raises `FramesError`, also for more than ``most`` cells."""
+        """Return a grid frame's pose on the map; raises `FramesError`, including for more than ``most`` cells."""
         width, height = int(grid["info"]["width"]), int(grid["info"]["height"])
         if width * height > most:
             raise FramesError(f"{topic} has {width} x {height} cells; up to {most} are shown")

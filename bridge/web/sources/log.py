@@ -33,7 +33,7 @@ class LogFollower:
         for _ in range(_ROUNDS):
             reply = ask_log(self._config, self._last)
             if reply is None:
-                raise ClientError("the daemon does not respond; without it there is no log")
+                raise ClientError("the daemon does not respond, so its log cannot be read")
             self._append(reply)
             if self._last >= reply["last"]:
                 break

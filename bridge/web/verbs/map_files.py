@@ -126,7 +126,7 @@ def data_of(value: Any) -> bytes:
 def unpacked(files: dict[str, bytearray]) -> dict[str, bytes]:
     """Return the files, including those in zips except hidden ones, without their folders.
 
-    Raises `VerbError`, also if two files of different content have the same name, for example in two folders.
+    Raises `VerbError`, for example if two files of different content have the same name, in two folders.
     """
     unpacked_ = {name: bytes(data) for name, data in files.items() if not name.lower().endswith(".zip")}
     room = MOST_BYTES

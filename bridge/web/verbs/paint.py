@@ -3,7 +3,7 @@
 A run is ``[row, column, length, flag]`` or ``[row, column, length, flag, was]``: cells of one row of the map's image,
 with the first row at the top; flags have YARP's numbers. Without a flag (null), cells get their flags from the
 occupancy. With ``was``, only cells that have this flag now are changed, so that an undo preserves what others have
-make_writes since.
+painted since.
 """
 
 from __future__ import annotations
