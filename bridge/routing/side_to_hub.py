@@ -432,7 +432,7 @@ class SideToHubTopics(RouteSet[RouteKey, SideToHubRoute]):
         holder = taken.get(hub_topic, key)
         if holder.topic != key.topic:
             decision.refuse(
-                f"{holder.topic} is already bridged under the name {hub_topic}", "rename one of them by a rule"
+                f"{holder.topic} is already bridged under the name {hub_topic}", "rename one of them with a rule"
             )
             return
         if route is None:

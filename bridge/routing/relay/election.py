@@ -8,8 +8,8 @@ a candidate, such as those of machines without Midspan, the candidate that start
 
 A worker joins the election when it is linked to a router, and relays nothing before it knows all sessions on the hub.
 A candidate that takes a session over from one that is still on the hub starts a second later, so that the other one has
-seen that and has stopped: no message is relayed twice. A worker that hung so that others may have taken over joins
-again, as the last one.
+seen that and has stopped: no message is relayed twice. A worker that hung for long enough that others may have taken
+over joins again, as the newest one.
 """
 
 from __future__ import annotations

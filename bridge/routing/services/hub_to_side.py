@@ -103,7 +103,7 @@ class HubToSideServices(RouteSet[RouteKey, HubToSideService]):
     ) -> None:
         """Refuse a service if its name already has another server on the side: a call goes to only one server."""
         name, holder = decision.topic, taken.get(decision.topic, key)
-        cure = "give one of them another name by a rule with 'rename'"
+        cure = "rename one of them with a rule"
         if name in natives:  # doctor recognizes the last word (`navigation.map2d_server.checks`)
             decision.refuse(f"{natives[name].node} serves {name} there already", cure)
         elif holder.topic != key.topic:

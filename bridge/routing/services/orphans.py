@@ -1,6 +1,7 @@
-"""Cancels the goals of planners whose client, the gateway, left or lost its connection before the reply.
+"""Cancels the goals of a planner if their client, the gateway, left or lost its connection before the reply.
 
-The reply would accept the goal, or be its result. No other client has that goal, so no other could stop the robot.
+The lost reply would have accepted the goal, or been its result. No other client knows that goal, so no other could stop
+the robot.
 """
 
 from __future__ import annotations

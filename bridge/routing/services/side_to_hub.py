@@ -172,7 +172,7 @@ class SideToHubServices(RouteSet[RouteKey, SideToHubService]):
     def _trouble(self, key: RouteKey, hub_name: str, taken: dict[str, RouteKey]) -> Obstacle | None:
         """Return why a service cannot be offered on the hub, None if it can: each name has only one server."""
         holder = taken.get(hub_name, key)
-        cure = "give one of them another name by a rule with 'rename'"
+        cure = "rename one of them with a rule"
         if holder.topic != key.topic:
             return Obstacle(f"{holder.topic} is already offered under the name {hub_name}", cure)
         if holder.type_name != key.type_name:

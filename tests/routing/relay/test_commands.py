@@ -53,7 +53,7 @@ def test_commands_are_neither_cached_nor_relayed_late(relay: Relays, node: Nodes
 
 
 def put_with_age(publisher: ReleasePublisher, age: float) -> None:
-    """Publish a velocity whose source timestamp is some seconds old."""
+    """Publish a velocity whose source timestamp is a few seconds old."""
     publisher._sequence += 1
     data = publisher._sequence.to_bytes(8, "little") + (time.time_ns() - int(age * 1e9)).to_bytes(8, "little")
     publisher._declared(publisher.key).put(b"\0\1\0\0" + bytes(48), attachment=data + b"\x10" + publisher.gid)
