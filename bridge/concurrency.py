@@ -221,7 +221,7 @@ class DelayedCalls(_OneThread):
                 self._condition.notify()
 
     def every(self, seconds: float, call: Job, first: float | None = None) -> None:
-        """Make a call regularly until `close`, ``seconds`` after the end of the last one, also if that one failed.
+        """Make a call regularly until `close`, ``seconds`` after the end of the last one, even if that one failed.
 
         The first call is made after ``first`` seconds, by default after ``seconds``.
         """

@@ -54,7 +54,7 @@ _RECORD, _CHUNK = struct.Struct("<BQ"), struct.Struct("<QQQII")
 _INDEX = struct.Struct("<BQHI")
 _FOOTER = struct.Struct("<BQQQ")
 _PACKERS = 3
-"""Number of threads that compress; for each chunk, a thread waits some milliseconds for Python's GIL."""
+"""Number of threads that compress; for each chunk, a thread waits a few milliseconds for Python's GIL."""
 
 _AHEAD = 8
 """Maximum number of chunks that are being compressed or waiting while others are read; fewer if they are large."""

@@ -51,7 +51,7 @@ def _open_content(path: Path, file: BinaryIO) -> Bag:
         from bridge.bags.ros1_reader import Ros1Bag
 
         if not start.startswith(ROS1):
-            raise BagError(path, "a bag of another version than 2.0", 8, "upgrade it with 'rosbag fix'")
+            raise BagError(path, "a bag of a version other than 2.0", 8, "upgrade it with 'rosbag fix'")
         return Ros1Bag(path, file)
     if start == b"SQLite format 3\0":
         from bridge.bags.db3_reader import Db3Bag

@@ -128,7 +128,7 @@ class BoardLink:
             self._stopping.wait(_RETRY_SECONDS)
 
     def _is_news(self, began: float) -> bool:
-        """Return whether the trouble is to be logged: it is another one, or the link has worked for a while."""
+        """Return whether to log the trouble: it is a different one, or the link has worked for a while."""
         repeated = self.trouble == self._logged and time.monotonic() - began < _WORKED_SECONDS
         self._logged = self.trouble
         return not repeated
@@ -161,7 +161,7 @@ class BoardLink:
             command = self._commands.pop()
             if command is not None:
                 self._execute(client, command)
-            if self._drive.moving and time.monotonic() >= self._drive.until:  # also while further commands fail
+            if self._drive.moving and time.monotonic() >= self._drive.until:  # even while further commands fail
                 self._drive.stop(client)
             left = self._drive.until - time.monotonic()
             self._commands.wait(left if self._drive.moving and 0.0 < left < _POLL_SECONDS else _POLL_SECONDS)

@@ -1,6 +1,7 @@
 """Halts everything on the hub: publishes zero velocities, cancels all goals, and asks bases and the gateway to halt.
 
-The steps are independent: none waits for another, or fails with another. Each action's goals are a separate step.
+The steps are independent: none waits for another, or fails because another fails. The goals of each action are a
+separate step.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ _ANSWER_SECONDS = 5.0
 """Seconds to wait for the modules; the gateway answers only when the stop is confirmed."""
 
 _REPLY_SECONDS = 1.0
-"""Seconds to wait for the reply to a request to cancel goals, also beyond the requested time."""
+"""Seconds to wait for the reply to a request to cancel goals, even beyond the requested time."""
 
 _ALL: dict[str, Any] = {"goal_info": {}}
 """A `CancelGoal` request without id and stamp: all goals (action_msgs/srv/CancelGoal)."""

@@ -116,7 +116,7 @@ class TransformListener:
         self.refresh()
 
     def listen(self, seconds: float) -> None:
-        """Receive for ``seconds``, also from new publishers."""
+        """Receive for ``seconds``, including from new publishers."""
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0:
             time.sleep(min(left, _REFRESH_SECONDS))

@@ -276,7 +276,7 @@ class Front:
 
 
 def keep_alive(sock: Any) -> None:
-    """Have the system end a connection if the client's machine has vanished, also if nothing is sent to the client."""
+    """Have the system end a connection if the client's machine has vanished, even if nothing is sent to the client."""
     with contextlib.suppress(OSError):  # the connection has just ended
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         for name, value in _KEEPALIVE:

@@ -258,7 +258,7 @@ class Gathered:
         self._due = False
 
     def changed(self) -> None:
-        """Schedule the call. Safe from any thread, also before the worker's thread runs."""
+        """Schedule the call. Safe from any thread, even before the worker's thread runs."""
         with self._lock:
             due, self._due = self._due, True
         if not due:

@@ -58,7 +58,7 @@ class Ring:
     def next(self) -> Path:
         """Return the path of the next file; the files of a run that was killed are first moved away and saved.
 
-        Raises `OSError`, also if another recorder has its ring in this folder.
+        Raises `OSError`, for example if another recorder has its ring in this folder.
         """
         self._place.folder.mkdir(parents=True, exist_ok=True)
         self._acquire()

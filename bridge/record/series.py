@@ -81,7 +81,7 @@ class FileSeries:
         except OSError as err:
             arrival.counts.dropped["disk"] += 1
             self._failed(err)
-        self._latched.add(arrival)  # also if it was dropped, so that the next file begins with it
+        self._latched.add(arrival)  # even if it was dropped, so that the next file begins with it
 
     def open(self) -> Path | None:
         """Open a file unless one is open, and return its path; raises `OSError` if that fails, and retries later."""

@@ -42,7 +42,7 @@ class Recording:
     """A recorder with its node on the hub, which follows the hub's topics until it is closed.
 
     Args:
-        name: the name of the node, also on the control plane.
+        name: the name of the node, and on the control plane.
 
     Raises:
         HubError: the hub cannot be joined.

@@ -289,7 +289,7 @@ class TransformBuffer:
         return number
 
     def _error(self, target: str, source: str) -> TransformError:
-        """Return the exception for a failed lookup; it has tf2's text, for which people search."""
+        """Return the exception for a failed lookup; it has tf2's text, which users search for."""
         answer, stamp, bound, trouble = self._history.failure()
         if answer == LOOP:
             self.loops += 1

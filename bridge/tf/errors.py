@@ -1,6 +1,6 @@
 """Reasons why a transform is unavailable or was refused: exceptions and codes named as in tf2, and their texts.
 
-The texts of failed lookups are those of tf2 0.7.6 (buffer_core.cpp, cache.cpp), for which people search.
+The texts of failed lookups are those of tf2 0.7.6 (buffer_core.cpp, cache.cpp), which users search for.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ CURES = {
     FrameRefusal.SELF_TRANSFORM: "frame_id and child_frame_id are the same",
     FrameRefusal.NO_CHILD_FRAME_ID: "child_frame_id is not set",
     FrameRefusal.NO_FRAME_ID: "frame_id is not set",
-    FrameRefusal.NAN_INPUT: "a value is not a number: find out where its publisher divides by zero",
+    FrameRefusal.NAN_INPUT: "a value is not a number: check its publisher for a division by zero",
     FrameRefusal.DENORMALIZED_QUATERNION: "the rotation's length is not 1: normalize it (0, 0, 0, 1 means no rotation)",
     FrameRefusal.OLD_DATA: "it is older than the history: its publisher's clock is behind or was set back, or a second"
     " publisher uses another clock",

@@ -49,7 +49,7 @@ class Setter(FrameTransformStorageSetRPC):
     def deleteTransformRPC(self, src: str, dst: str) -> ReturnValue:
         """Delete the transforms between two frames, if YARP programs have set them; those of other sides stay.
 
-        As in YARP, this fails if there is no such transform, unless one of the frames is `*`.
+        As in YARP, this fails if the transform does not exist, unless one of the frames is `*`.
         """
         if not self._exchange.delete(src, dst) and ANY not in (src, dst):
             raise CallFailed(reason=f"no YARP program has set a transform between {src} and {dst}")

@@ -43,7 +43,7 @@ class Timeline:
     Args:
         rate: seconds of the bag per second.
         paused: whether to start paused.
-        clock_hz: rate of `Due.CLOCK`, also during a pause; 0: never.
+        clock_hz: rate of `Due.CLOCK`, even during a pause; 0: never.
         now: returns the seconds of a monotonic clock.
         wait: see `Wait`.
 

@@ -1,7 +1,7 @@
 """Reports of what a demo program received, as JSON lines on its output, and commands on its input.
 
-A program exits at the end of its input, so that no program remains if the demo dies, not even one that waits for ever
-for another process that died, as rospy does for its master.
+A program exits at the end of its input, so that no program remains if the demo dies, not even one that waits
+indefinitely for a dead process, as rospy waits for its master.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class TopicsProgram:
         raise NotImplementedError
 
     def drive(self, linear: float, angular: float, seconds: float) -> None:
-        """Publish a velocity for some seconds, then stop; report the robot's pose before and after."""
+        """Publish a velocity for a few seconds, then stop; report the robot's pose before and after."""
         self._send_velocity(self._send, linear, angular, seconds)
 
     def close(self) -> None:
