@@ -64,7 +64,7 @@ def test_each_module_is_in_one_distribution(tmp_path: Path) -> None:
     metadata = tomllib.loads((midspan / "pyproject.toml").read_text(encoding="utf-8"))
     assert f"yarp-compat=={dist.version()}" in metadata["project"]["dependencies"]
     assert metadata["tool"]["setuptools"]["packages"]["find"]["include"] == ["bridge*", "navigation*", "sim*"]
-    assert not list(midspan.rglob("*.so")), "there are no compiled files"
+    assert not list(midspan.rglob("*.so")), "compiled files are left out"
 
 
 def test_a_replacement_must_match_exactly_once() -> None:
