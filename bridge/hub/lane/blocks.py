@@ -5,6 +5,9 @@ passes the file to each reader with a ``BLOCK`` record; the readers map it (`bri
 with a ``FREE`` record, after which the writer uses it for another message. A block has all its memory before it is
 written, and can never shrink, so no process can fail while it accesses memory that does not exist. Such files need no
 room in ``/dev/shm``, and leave nothing behind when a process is killed.
+
+Neither end populates a mapping, which takes milliseconds for a large block: Python's ``mmap`` would stop all threads
+meanwhile. The pages appear when a message is written or read, which happens without the interpreter's lock.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ import sys
 import time
 from collections.abc import Callable
 from threading import Lock
+from typing import Self
 
 from bridge.messages.copies import copied, copy_to
 
@@ -27,6 +31,9 @@ POSSIBLE = sys.platform == "linux" and hasattr(os, "memfd_create")
 
 MAX_BYTES = 128 << 20
 """Maximum total size in bytes of a session's blocks; a larger message has a block if no other block is in use."""
+
+MAX_BLOCKS = 256
+"""Maximum number of a session's blocks, each of which needs two descriptors (one is of the mapping)."""
 
 _EXCESS, _SMALL = 4, 1 << 20
 """A message uses a block of at most this multiple of the message's size, or of at most this number of bytes."""
@@ -67,7 +74,7 @@ class Block:
         """Let the file have memory for ``size`` bytes, and map it; raises `OSError`. Only for the only user."""
         if self._memory is None or len(self._memory) < self.size:
             os.posix_fallocate(self.file, 0, self.size)
-            self._memory = mmap.mmap(self.file, self.size, mmap.MAP_SHARED | mmap.MAP_POPULATE)
+            self._memory = mmap.mmap(self.file, self.size, mmap.MAP_SHARED)
 
     def view(self, size: int) -> memoryview:
         """Return the first bytes of the block, to read and write."""
@@ -92,7 +99,7 @@ class Blocks:
         self._lock = Lock()
         self._free: list[Block] = []
         self._numbers = itertools.count(1)
-        self._size = 0
+        self._size = self._count = 0
         self._trims = self._closed = False
 
     @property
@@ -156,14 +163,12 @@ class Blocks:
             fitting = [block for block in self._free if block.size <= max(_EXCESS * size, _SMALL)]
             # of equal ones the last used, which the processor's cache may still contain
             block = min(reversed(fitting), key=lambda block: (block.size < size, block.size), default=None)
-            has = 0
             if block is not None:
                 self._free.remove(block)
-                has = block.size
-            growth = max(0, size - has)
-            while self._size + growth > MAX_BYTES and self._free:
+            growth = max(0, size - (0 if block is None else block.size))
+            while self._free and not self._has_room(growth, block):
                 self._discard(self._free.pop())
-            if self._closed or (self._size + growth > MAX_BYTES and self._size > has):
+            if self._closed or not self._has_room(growth, block):
                 if block is not None:
                     self._discard(block)
                 return None
@@ -173,13 +178,20 @@ class Blocks:
                 except OSError as err:
                     _log.debug("a message of %d bytes is sent in parts: %s", size, err.strerror)
                     return None
+                self._count += 1
             self._size += growth
             block.size += growth
             block.users = 1
             return block
 
+    def _has_room(self, growth: int, block: Block | None) -> bool:
+        """Return whether a block, or a new one (None), may have a number of bytes more than now."""
+        others = self._size - (0 if block is None else block.size)
+        return (self._size + growth <= MAX_BYTES or not others) and (block is not None or self._count < MAX_BLOCKS)
+
     def _discard(self, block: Block) -> None:
         self._size -= block.size
+        self._count -= 1
         block.close()
 
     def _trim(self) -> None:
@@ -220,6 +232,12 @@ class StoredMessage:
         """Return a copy of the message."""
         assert self.block is not None
         return copied(self.block.view(self._size))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.release()
 
     def release(self) -> None:
         """Stop using the block. Safe to call twice."""

@@ -193,10 +193,10 @@ class Inlet:
             elif kind != BLOCK:
                 self._other(kind, key, record[HEAD.size : BODY], record)
 
-    def _lent(self, record: bytes, file: int) -> LentPayload | bytes | None:
+    def _lent(self, record: bytes, file: int) -> LentPayload | bytes:
         """Return a message in a block, which is given back when all readers have dropped the message.
 
-        None if this process had no descriptor left; the message is counted as lost when the next one arrives.
+        Raises `OSError` if this process had no descriptor left. Then the lane ends, so that zenoh carries the messages.
         """
         size, loan, block = LOAN.unpack_from(record, BODY)
         give_back = partial(self._send, HEAD.pack(FREE, loan))

@@ -6,6 +6,7 @@ ends, the writer never uses the block again, and it remains as long as the reade
 
 from __future__ import annotations
 
+import errno
 import logging
 import mmap
 import os
@@ -45,19 +46,21 @@ class Mapped:
         with self._lock:
             return sum(len(memory) for memory, _ in self._blocks.values())
 
-    def view(self, number: int, file: int, size: int) -> memoryview | bytes | None:
+    def view(self, number: int, file: int, size: int) -> memoryview | bytes:
         """Return the message in a block, given the block's number and file, and the message's size.
 
         It is a copy if the block cannot be mapped. The caller closes the file, which is -1 if this process had no
-        descriptor left; None if the block is needed then. Raises `HubWireError` if the block does not have all of the
-        message, and `OSError`.
+        descriptor left. Raises `HubWireError` if the block does not have all of the message, and `OSError`, also if
+        the block is not mapped and there is no file.
         """
         with self._lock:
             memory, _ = self._blocks.pop(number, (None, 0.0))
         if memory is None or len(memory) < size:
-            memory = _map(file, size) if file >= 0 else None
+            if file < 0:
+                raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+            memory = _map(file, size)
         if memory is None:
-            return _read(file, size) if file >= 0 else None
+            return _read(file, size)
         self._keep(number, memory)
         return memoryview(memory)[:size]
 
@@ -97,7 +100,7 @@ def _map(file: int, size: int) -> mmap.mmap | None:
         whole = os.fstat(file).st_size
         if whole < size or not fcntl.fcntl(file, fcntl.F_GET_SEALS) & fcntl.F_SEAL_SHRINK:
             return None
-        return mmap.mmap(file, whole, mmap.MAP_SHARED | mmap.MAP_POPULATE, mmap.PROT_READ)
+        return mmap.mmap(file, whole, mmap.MAP_SHARED, mmap.PROT_READ)
     except (OSError, ValueError) as err:
         _log.debug("a block of a lane is copied: %s", err)
         return None

@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import pytest
 
 from bridge.hub.lane import blocks as module
-from bridge.hub.lane.blocks import IDLE_SECONDS, MAX_BYTES, Blocks, StoredMessage
+from bridge.hub.lane.blocks import IDLE_SECONDS, MAX_BLOCKS, MAX_BYTES, Blocks, StoredMessage
 
 MB = 1 << 20
 FILES = Path("/proc/self/fd")
@@ -54,6 +54,15 @@ def stored(blocks: Blocks, payload: bytes) -> StoredMessage:
     return message
 
 
+def populated(name: str) -> int:
+    """Return how many bytes of the mappings of a file in memory this process can access without a page fault."""
+    found, lines = 0, iter(Path("/proc/self/smaps").read_text(encoding="utf-8").splitlines())
+    for line in lines:
+        if f"/memfd:{name} " in line:
+            found += 1024 * int(next(entry for entry in lines if entry.startswith("Rss:")).split()[1])
+    return found
+
+
 def read(message: StoredMessage) -> bytes:
     """Read a message as a process would that has only the file."""
     assert message.block is not None
@@ -64,8 +73,8 @@ def test_a_message_is_written_to_the_file() -> None:
     blocks = Blocks(lambda *_: None)
     message = stored(blocks, b"message")
     assert (len(message), message.to_bytes(), read(message)) == (7, b"message", b"message")
-    message.release()
-    message.release()  # twice
+    with message:
+        message.release()  # twice
     blocks.close()
     assert blocks.size == 0
 
@@ -131,6 +140,37 @@ def test_a_block_has_its_memory_before_it_is_written_and_cannot_shrink(blocks: B
         os.ftruncate(message.block.file, 0)
     assert fcntl.fcntl(message.block.file, fcntl.F_GET_SEALS) & fcntl.F_SEAL_SHRINK
     message.release()
+
+
+def test_a_new_block_does_not_stop_other_threads(blocks: Blocks) -> None:
+    """Python's mmap holds the interpreter's lock, for 20 ms if it populates a mapping of 64 MB."""
+    message = StoredMessage(blocks)
+    assert message.room(16 * MB) is not None
+    assert populated("midspan-lane") == 0
+    message.release()
+
+
+def test_the_number_of_descriptors_is_bounded(blocks: Blocks) -> None:
+    files = len(list(FILES.iterdir()))
+    held = [stored(blocks, b"x") for _ in range(MAX_BLOCKS)]
+    assert len(list(FILES.iterdir())) - files == 2 * MAX_BLOCKS
+    assert blocks.store(b"x") is None
+    held.pop().release()
+    held.append(stored(blocks, bytes(2 * MB)))
+    for message in held:
+        message.release()
+
+
+def test_a_block_of_another_size_replaces_an_unused_one_if_there_are_many(
+    blocks: Blocks, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "MAX_BLOCKS", 2)
+    large, other = stored(blocks, bytes(8 * MB)), stored(blocks, bytes(8 * MB))
+    other.release()
+    small = stored(blocks, b"x")
+    assert blocks.size == 8 * MB + 1
+    for message in (large, small):
+        message.release()
 
 
 def test_the_memory_is_bounded(blocks: Blocks) -> None:

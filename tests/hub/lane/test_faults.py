@@ -163,6 +163,29 @@ def test_without_descriptors_all_messages_use_zenoh(network: HubNetwork, tmp_pat
         whole(reader.ask("wait", id=subscription_id, count=len(texts) + 200, seconds=40.0)["texts"])
 
 
+def test_large_messages_use_zenoh_once_the_reader_has_no_descriptors(network: HubNetwork, tmp_path: Path) -> None:
+    lane, size = str(tmp_path), 100_000
+    with Hub.open(network.settings("writer", lane=lane)) as writer, network.hub_peer("reader", lane=lane) as reader:
+        publisher = advertise(writer, "/t")
+        number = reader.ask("subscription", topic="/t")["id"]
+        until(lambda: reader.ask("way", id=number)["way"] == "lane", "the subscription uses the lane")
+        publisher.put(b"small")
+        assert reader.ask("wait", id=number, count=1, seconds=40.0)["texts"] == ["small"]
+        reader.ask("exhaust", on=True)
+
+        def arrived() -> list[str]:
+            publisher.put(b"x" * size)
+            return list(reader.ask("wait", id=number, count=2, seconds=0.1)["texts"])
+
+        until(lambda: arrived()[1:], "a large message arrives")
+        assert {len(text) for text in arrived()[1:]} == {size}
+        assert "lane" not in reader.ask("way", id=number)["way"]
+        reader.ask("exhaust", on=False)
+        until(lambda: arrived() and reader.ask("way", id=number)["way"] == "lane", "with descriptors, the lane is used")
+        count = len(arrived())
+        until(lambda: len(arrived()) >= count + 2, "large messages arrive on the lane")
+
+
 def test_messages_use_zenoh_if_the_folder_cannot_be_written_to(network: HubNetwork, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     lane = str(tmp_path / "file" / "lane")
