@@ -131,8 +131,8 @@ class HubPublisher:
         if isinstance(payload, StoredMessage):
             self._lend(payload, attachment)
         elif len(payload) > BOUND and (stored := self._stored_message(payload)) is not None:
-            self._lend(stored, attachment)
-            stored.release()
+            with stored:
+                self._lend(stored, attachment)
         else:
             for outlet in self._outlets:
                 outlet.send(attachment, payload)

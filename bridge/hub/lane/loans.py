@@ -2,30 +2,22 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import Generic, NamedTuple
 
-from bridge.hub.lane.blocks import Block, Blocks
+from bridge.hub.lane.blocks import Block, Blocks, StoredMessage
+from bridge.hub.lane.queues import Queue
 
 MAX_LENT = 64 << 20
 """Maximum number of bytes lent to one reader, except for a single message; further ones are sent in parts."""
 
-MAX_LOANS = 4
-"""Maximum number of messages of a key that are lent to one reader; further ones wait until it has returned one."""
 
-
-class Borrower(Protocol):
-    """The lane of one key to the reader."""
-
-    loans: int
-
-
-class _Loan(NamedTuple):
-    borrower: Borrower
+class _Loan(NamedTuple, Generic[Queue]):
+    queue: Queue
     block: Block
     size: int
 
 
-class Loans:
+class Loans(Generic[Queue]):
     """The loans of one reader. Not thread-safe: the lock of the reader's link guards it.
 
     Attributes:
@@ -34,7 +26,7 @@ class Loans:
 
     def __init__(self, blocks: Blocks) -> None:
         self._blocks = blocks
-        self._loans: dict[int, _Loan] = {}
+        self._loans: dict[int, _Loan[Queue]] = {}
         self._bytes = 0
         self.next = 1
 
@@ -42,21 +34,27 @@ class Loans:
         """Return whether a message of ``size`` bytes may be lent."""
         return not self._loans or self._bytes + size <= MAX_LENT
 
-    def begin(self, borrower: Borrower, block: Block, size: int) -> None:
-        """Note that the next loan was sent."""
+    def store(self, payload: bytes) -> StoredMessage | None:
+        """Return a message in a block, for the caller to `StoredMessage.release`; None if it cannot be lent."""
+        return self._blocks.store(payload) if self.has_room(len(payload)) else None
+
+    def begin(self, queue: Queue, block: Block, size: int) -> None:
+        """Note that the next loan, of a message of the queue's key, was sent."""
         self._blocks.share(block)
-        self._loans[self.next] = _Loan(borrower, block, size)
+        self._loans[self.next] = _Loan(queue, block, size)
         self.next = self.next % 0xFFFF_FFFF + 1
         self._bytes += size
-        borrower.loans += 1
+        queue.loans += 1
 
-    def end(self, number: int) -> None:
-        """End a loan that the reader has returned."""
+    def end(self, number: int) -> Queue | None:
+        """End a loan that the reader has returned; return the key's queue, None if there is no such loan."""
         loan = self._loans.pop(number, None)
-        if loan is not None:
-            self._bytes -= loan.size
-            loan.borrower.loans -= 1
-            self._blocks.release(loan.block)
+        if loan is None:
+            return None
+        self._bytes -= loan.size
+        loan.queue.loans -= 1
+        self._blocks.release(loan.block)
+        return loan.queue
 
     def lose(self) -> None:
         """End all loans, because the connection has ended; the reader may still read the blocks."""

@@ -1,4 +1,4 @@
-"""The writing end of a lane: the connection to one reader, with its queues."""
+"""The writing end of a lane: the connection to one reader."""
 
 from __future__ import annotations
 
@@ -12,48 +12,29 @@ from threading import Lock
 
 from bridge.hub.lane.blocks import Blocks, StoredMessage
 from bridge.hub.lane.joining import MAX_JOINED_BYTES
-from bridge.hub.lane.loans import MAX_LOANS, Loans
+from bridge.hub.lane.loans import Loans
 from bridge.hub.lane.numbering import Link
+from bridge.hub.lane.queues import KeyQueue, LaneMessage, ReaderQueues
 from bridge.hub.lane.wire import BLOCK, BOUND, DATA, FENCE, HEAD, LOAN, MARK, PART, PIECE, SAMPLE, SIZE, TOKEN
 from bridge.hub.wire.keys import ATTACHMENT_SIZE, pack_attachment
 
 _size = SIZE.pack
 _NO_MEMORY = (errno.ENOBUFS, errno.ENOMEM, errno.ETOOMANYREFS)
 
-MAX_WAITING = 64 << 20
-"""Maximum number of bytes queued for one reader; the newest message of each key is queued in any case."""
 
-
-class LaneMessage:
-    """A queued message, or the record of a fence; ``at`` is the number of bytes that were already sent in parts."""
-
-    __slots__ = ("at", "attachment", "fence", "payload")
-
-    def __init__(self, attachment: bytes, payload: bytes, fence: bytes = b"") -> None:
-        self.attachment, self.payload, self.fence = attachment, payload, fence
-        self.at = 0
-
-
-class Outlet:
+class Outlet(KeyQueue):
     """The lane of one key to one reader, which the publishers of that key share.
 
     Attributes:
         number: the number that the reader assigned to the key.
-        command: whether its messages are sent before all others.
-        depth: maximum number of queued messages.
-        dropped: number of dropped messages.
-        fences: number of fences among the queued messages.
-        loans: number of messages lent to the reader.
         head: the beginning of each of its messages' records.
         send: sends, joins (`bridge.hub.lane.joining`) or queues a message, given attachment and payload; never blocks.
         lend: lends or queues a large message that is in a block; never blocks.
     """
 
     def __init__(self, link: ReaderLink, number: int, key: str) -> None:
+        super().__init__()
         self.key, self.link, self.number = key, link, number
-        self.command, self.depth = False, 1
-        self.queue: deque[LaneMessage] = deque()
-        self.dropped = self.fences = self.loans = 0
         self.head = HEAD.pack(DATA, number)
         self.send, self.lend = partial(link.send, self), partial(link.lend, self)
 
@@ -86,16 +67,17 @@ class ReaderLink:
     def __init__(self, sock: socket.socket, watch: Callable[[bool], None], blocks: Blocks) -> None:
         self.sock = sock
         self.outlets: dict[int, Outlet] = {}
-        self.dropped = 0
-        self._watch, self._blocks = watch, blocks
+        self._watch = watch
         self._lock = Lock()
-        # outlets with queued messages: those that can be sent, and those that wait until a loan ends
-        self._queued: dict[Outlet, None] = {}
-        self._loans, self._parked = Loans(blocks), dict[Outlet, None]()
+        self._queues, self._loans = ReaderQueues[Outlet](), Loans[Outlet](blocks)
         self._notes: deque[bytes] = deque()
-        self._bytes = 0
         self._closed = False
         self.fast = None if Link is None else Link(sock.fileno(), self._unsent)
+
+    @property
+    def dropped(self) -> int:
+        """Number of dropped messages."""
+        return self._queues.dropped
 
     def send(self, outlet: Outlet, attachment: bytes, payload: bytes) -> None:
         """Send a message; see `Outlet.send`."""
@@ -107,7 +89,7 @@ class ReaderLink:
                 self._queue_joined(self.fast.join(outlet.number, attachment, payload))
                 return
             self._flush_joined()
-            waits = self._queued or self._notes or outlet.queue or size > BOUND
+            waits = self._queues.due or self._notes or outlet.queue or size > BOUND
             if not waits and self._put(outlet.record(attachment, payload)):
                 return
             if not self._closed:
@@ -115,16 +97,20 @@ class ReaderLink:
 
     def lend(self, outlet: Outlet, attachment: bytes, stored: StoredMessage) -> None:
         """Lend a message; see `Outlet.lend`."""
+        if self._lend_at_once(outlet, attachment, stored):
+            return
+        payload = stored.to_bytes()  # without the lock, for which a command may wait
         with self._lock:
-            if self._closed:
-                return
-            self._flush_joined()
-            may_lend = outlet.loans < MAX_LOANS and self._loans.has_room(len(stored))
-            waits = self._queued or self._notes or outlet.queue or not may_lend
-            if not waits and self._lend(outlet, attachment, stored):
-                return
             if not self._closed:
-                self._wait(outlet, LaneMessage(attachment, stored.to_bytes()))
+                self._wait(outlet, LaneMessage(attachment, payload))
+
+    def _lend_at_once(self, outlet: Outlet, attachment: bytes, stored: StoredMessage) -> bool:
+        """Lend a message; return False if it has to be queued."""
+        with self._lock:
+            self._flush_joined()
+            may_lend = outlet.may_lend and self._loans.has_room(len(stored))
+            waits = self._queues.due or self._notes or outlet.queue or not may_lend
+            return self._closed or (not waits and self._lend(outlet, attachment, stored))
 
     def _unsent(self) -> None:
         """Queue the joined messages, which ``fast`` could not send."""
@@ -136,7 +122,7 @@ class ReaderLink:
         """Queue the messages of a record, unless it can be sent now; None: there is none."""
         if record is None or self._closed:
             return
-        if not self._queued and not self._notes and self._put(record):
+        if not self._queues.due and not self._notes and self._put(record):
             self._ready()
             return
         at, whole = 0, len(record)
@@ -155,7 +141,7 @@ class ReaderLink:
     def _ready(self) -> None:
         """Let ``fast`` send, unless something else has to be sent before."""
         if self.fast is not None:
-            self.fast.ready = not (self._closed or self._queued or self._parked or self._notes)
+            self.fast.ready = not (self._closed or self._queues.count or self._notes)
 
     def note(self, record: bytes) -> None:
         """Send a record before all queued messages."""
@@ -175,11 +161,7 @@ class ReaderLink:
             if self._closed:
                 return
             if outlet.queue or not self._put(record):
-                outlet.queue.append(LaneMessage(b"", b"", record))
-                outlet.fences += 1
-                self._queued[outlet] = None
-                self._ready()
-                self._watch(True)
+                self._wait(outlet, LaneMessage(b"", b"", record))
 
     def flush(self) -> None:
         """Send the queued messages, commands first."""
@@ -188,42 +170,32 @@ class ReaderLink:
                 if not self._put(self._notes[0]):
                     return
                 self._notes.popleft()
-            for outlet in sorted(self._queued, key=lambda each: not each.command):
-                while outlet.queue and not self._has_to_wait(outlet):
+            for outlet in sorted(self._queues.due, key=lambda each: not each.command):
+                while outlet.is_due:
                     if not self._send_next(outlet):
                         return
-                del self._queued[outlet]
-                if outlet.queue:
-                    self._parked[outlet] = None
             self._ready()
             self._watch(False)
 
     def on_free(self, number: int) -> None:
         """End a loan, and send the messages that waited for it."""
         with self._lock:
-            self._loans.end(number)
-            if not self._parked:
+            outlet = self._loans.end(number)
+            if outlet is None or not self._queues.update(outlet):
                 return
-            self._queued.update(self._parked)
-            self._parked.clear()
         self.flush()
 
     def drop_queue(self, outlet: Outlet) -> None:
         """Drop the queue of a key that the reader released."""
         with self._lock:
-            self._queued.pop(outlet, None)
-            self._parked.pop(outlet, None)
-            self._bytes -= sum(len(message.payload) for message in outlet.queue)
-            outlet.queue.clear()
-            outlet.fences = 0
+            self._queues.clear(outlet)
             self._ready()
 
     def close(self) -> None:
         """Close the connection, which the reader detects. Safe to call twice."""
         with self._lock:
             self._closed = True
-            self._queued.clear()
-            self._parked.clear()
+            self._queues.due.clear()
             self._notes.clear()
             self._loans.lose()
             if self.fast is not None:
@@ -232,19 +204,10 @@ class ReaderLink:
             self.sock.shutdown(socket.SHUT_RDWR)
 
     def _wait(self, outlet: Outlet, message: LaneMessage) -> None:
-        queue = outlet.queue
-        queue.append(message)
-        self._bytes += len(message.payload)
-        while (left := len(queue) - outlet.fences) > outlet.depth or (self._bytes > MAX_WAITING and left > 1):
-            at = next(number for number, queued in enumerate(queue) if not queued.fence)
-            self._bytes -= len(queue[at].payload)
-            del queue[at]
-            outlet.dropped += 1
-            self.dropped += 1
-        if outlet not in self._parked:
-            if not self._queued:
-                self._watch(True)
-            self._queued[outlet] = None
+        watched = bool(self._queues.due)
+        self._queues.add(outlet, message)
+        if self._queues.due and not watched:
+            self._watch(True)
         self._ready()
 
     def _send_next(self, outlet: Outlet) -> bool:
@@ -254,26 +217,19 @@ class ReaderLink:
             sent = self._put(message.fence)
         elif len(message.payload) <= BOUND:
             sent = self._put(outlet.record(message.attachment, message.payload))
-        elif (stored := self._stored(message)) is not None:
-            sent = self._lend(outlet, message.attachment, stored)
-            stored.release()
-        else:
-            sent = self._send_parts(outlet, message)
+        else:  # in parts also if the system passes no file on
+            sent = self._lend_queued(outlet, message) or self._send_parts(outlet, message)
         if sent:
-            outlet.queue.popleft()
-            self._bytes -= len(message.payload)
-            outlet.fences -= bool(message.fence)
+            self._queues.pop(outlet)
         return sent
 
-    def _has_to_wait(self, outlet: Outlet) -> bool:
-        """Return whether the first message of a queue may be sent only when the reader has returned another one."""
-        message = outlet.queue[0]
-        return outlet.loans >= MAX_LOANS and len(message.payload) > BOUND and not message.at
-
-    def _stored(self, message: LaneMessage) -> StoredMessage | None:
-        """Return a queued message in a block, None if it has to be sent in parts."""
-        may_lend = not message.at and self._loans.has_room(len(message.payload))
-        return self._blocks.store(message.payload) if may_lend else None
+    def _lend_queued(self, outlet: Outlet, message: LaneMessage) -> bool:
+        """Lend a queued message; return False if that is impossible."""
+        stored = None if message.at else self._loans.store(message.payload)
+        if stored is None:
+            return False
+        with stored:
+            return self._lend(outlet, message.attachment, stored)
 
     def _lend(self, outlet: Outlet, attachment: bytes, stored: StoredMessage) -> bool:
         """Lend a message; return False if the socket is full, or the link has ended."""

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from bridge.hub.lane import folder
-from bridge.hub.lane.loans import MAX_LOANS
+from bridge.hub.lane.queues import MAX_LOANS
 from bridge.hub.lane.wire import DATA, HEAD, MARK, PART, PIECE, SAMPLE, VERSION
 from bridge.hub.node import Hub
 from bridge.hub.wire.keys import pack_attachment

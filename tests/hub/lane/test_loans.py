@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import socket
 from collections.abc import Iterator
@@ -10,8 +11,8 @@ from typing import NamedTuple
 import pytest
 
 from bridge.hub.lane import loans as module
-from bridge.hub.lane.blocks import Blocks
-from bridge.hub.lane.loans import MAX_LOANS
+from bridge.hub.lane.blocks import Blocks, StoredMessage
+from bridge.hub.lane.queues import MAX_LOANS
 from bridge.hub.lane.outlet import Outlet, ReaderLink
 from bridge.hub.lane.wire import BLOCK, BODY, BOUND, DATA, FENCE, HEAD, LOAN, PART, ROOM, SAMPLE, TOKEN
 from bridge.hub.wire.keys import pack_attachment, unpack_attachment
@@ -117,7 +118,7 @@ def test_a_reader_that_returns_nothing_has_a_limited_number_of_messages(lender: 
     lender.link.flush()
     records = lender.read()
     assert [record.number for record in records] == list(range(1, MAX_LOANS + 1))
-    assert lender.watched == [True, False], "the writer does not poll the socket while it waits for the reader"
+    assert True not in lender.watched, "the writer does not poll the socket while it waits for the reader"
     assert lender.images.dropped == 19 - MAX_LOANS - 1
     lender.link.on_free(records[0].loan)
     assert lender.numbers() == [19]
@@ -142,6 +143,62 @@ def test_messages_of_a_topic_stay_in_order(lender: Lender) -> None:
         (DATA, MAX_LOANS + 2),
         (FENCE, 0),
     ]
+
+
+def test_a_small_message_does_not_wait_for_the_reader_in_place_of_a_large_one(lender: Lender) -> None:
+    for number in range(1, MAX_LOANS + 2):
+        lender.send(number)
+    lender.link.flush()
+    lender.read()
+    lender.send(MAX_LOANS + 2, size=10)
+    lender.link.flush()
+    assert (lender.numbers(), lender.images.dropped) == ([MAX_LOANS + 2], 1)
+    lender.send(MAX_LOANS + 3, size=20)
+    assert lender.numbers() == [MAX_LOANS + 3]
+
+
+def test_a_command_does_not_wait_for_the_copy_of_a_large_message(
+    lender: Lender, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for number in range(1, MAX_LOANS + 1):
+        lender.send(number)
+    lender.read()
+    lender.other.command = True
+
+    def copy(message: StoredMessage) -> bytes:
+        assert not lender.link._lock.locked()
+        lender.send(1, size=10, outlet=lender.other)
+        return bytes(len(message))
+
+    monkeypatch.setattr(StoredMessage, "to_bytes", copy)
+    lender.send(MAX_LOANS + 1)
+    assert (lender.numbers(), len(lender.images.queue)) == ([1], 1)
+
+
+@pytest.mark.parametrize("queued", [False, True])
+def test_a_message_whose_file_the_system_does_not_pass_is_sent_in_parts(
+    lender: Lender, monkeypatch: pytest.MonkeyPatch, *, queued: bool
+) -> None:
+    """A user may have only so many descriptors on their way (unix(7), ETOOMANYREFS)."""
+    if queued:
+        for number in range(1, MAX_LOANS + 1):
+            lender.send(number)
+    lent = lender.read()
+
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ETOOMANYREFS, os.strerror(errno.ETOOMANYREFS))
+
+    monkeypatch.setattr(socket, "send_fds", refuse)
+    lender.send(MAX_LOANS + 1)
+    if queued:
+        lender.link.on_free(lent[0].loan)
+    else:
+        lender.link.flush()
+    assert [record.kind for record in lender.read()] == [PART, PART]
+    assert not lender.images.queue
+    monkeypatch.undo()
+    lender.send(MAX_LOANS + 2)
+    assert lender.numbers() == [MAX_LOANS + 2]
 
 
 def test_other_topics_do_not_wait_for_the_reader_of_large_messages(lender: Lender) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from bridge.hub.lane import outlet as module
+from bridge.hub.lane import queues as module
 from bridge.hub.lane.blocks import Blocks
 from bridge.hub.lane.joining import MAX_JOINED, MAX_JOINED_BYTES, Joining, flush_joined
 from bridge.hub.lane.outlet import Outlet, ReaderLink
