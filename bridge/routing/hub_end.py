@@ -175,6 +175,7 @@ class HeldSamples:
 
     def add_latched(self, sample: HubSample, endpoint: HubEndpoint) -> None:
         """Hold a latched sample; of each publisher, hold only as many as its ``endpoint`` retains."""
+        sample.data()  # it must not occupy the sender's memory
         depth = min(max(endpoint.qos.depth, 1), MAX_PENDING)
         self.latched.keep(sample.gid, sample, len(sample.payload), depth)
 

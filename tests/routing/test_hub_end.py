@@ -11,9 +11,10 @@ import zenoh
 from bridge.hub.endpoints.subscription import HubSample, HubSubscription
 from bridge.hub.graph import HubEndpoint
 from bridge.hub.graph.tokens import EndpointKind, Origin
+from bridge.hub.lane.lent import LentPayload
 from bridge.hub.wire.qos import Durability, Qos, Reliability
 from bridge.routing import hub_end
-from bridge.routing.hub_end import DEMAND, Demand, HubSources, RouteSubscription, StreamDemand
+from bridge.routing.hub_end import DEMAND, Demand, HeldSamples, HubSources, RouteSubscription, StreamDemand
 from tests.support.clock import Clock
 
 WORKER = Origin("ros1", "net", "robot")
@@ -29,6 +30,22 @@ def publisher(name: str, zid: str = "z", origin: Origin | None = WORKER, qos: Qo
 
 def sample(gid: str, zid: str = "z") -> HubSample:
     return HubSample(zenoh.ZBytes(b""), 1, 1, gid.encode(), zid)
+
+
+@pytest.mark.parametrize("latched", [False, True])
+def test_held_samples_do_not_occupy_the_memory_of_their_sender(*, latched: bool) -> None:
+    """A worker on standby may hold them for hours; the sender lends only a few messages of a topic at a time."""
+    given_back: list[bool] = []
+    held = HeldSamples(lambda: None)
+    lent = LentPayload(memoryview(b"payload"), lambda: given_back.append(True))
+    held_sample = HubSample(lent, 1, 1, b"a", "z")
+    del lent
+    if latched:
+        held.add_latched(held_sample, publisher("a"))
+    else:
+        held.add_unknown(held_sample)
+    assert given_back == [True]
+    assert held_sample.data() == b"payload"
 
 
 def latches(qos: Qos) -> bool:

@@ -194,6 +194,20 @@ def test_a_refused_message_uses_no_block(crossing: Make, monkeypatch: pytest.Mon
     routes.cross("y" * BULK)
 
 
+def test_a_message_that_cannot_be_queued_uses_no_block(crossing: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    routes = crossing()
+    blocks = routes.on_lane()
+
+    def refuse(*_: object) -> None:
+        raise MemoryError
+
+    (outlet,) = routes.publisher._outlets
+    monkeypatch.setattr(outlet, "lend", refuse)
+    with pytest.raises(MemoryError):
+        routes.publisher.put(line("x" * BULK))
+    assert len(blocks._free) == 1
+
+
 def test_the_thread_of_a_connection_publishes_large_messages_unless_it_could_block(
     network: HubNetwork, crossing: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
