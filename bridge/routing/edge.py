@@ -138,8 +138,7 @@ class EdgePublisher(Protocol):
     """A publisher that the bridge holds on the side.
 
     It may have an attribute ``native``: None, or an object with the attribute ``output``, by which C code sends small
-    messages instead of `send` (``output.h``). It may have an attribute ``accepts_views``: True if `send` also accepts a
-    memoryview, which is invalid after the call.
+    messages instead of `send` (``output.h``).
     """
 
     @property
@@ -189,6 +188,9 @@ class Edge(ABC):
 
     own_threads: ClassVar[bool] = False
     """Whether the threads that deliver messages of more than `bridge.routing.limits.BULK` serve one publisher each."""
+
+    sends_views: ClassVar[bool] = False
+    """Whether `EdgePublisher.send` also accepts a memoryview, which is invalid after the call."""
 
     outlives_network: ClassVar[bool] = False
     """Whether endpoints keep their ids if the network's identity changes, as in ROS 1 when only the master restarts."""

@@ -316,7 +316,7 @@ class HubToSideRoute(TopicRoute):
         data = self._direct.read(lent.view)
         if self.too_large(len(data)):
             return None
-        if isinstance(data, memoryview) and not getattr(publisher, "accepts_views", False):
+        if isinstance(data, memoryview) and not self._context.edge.sends_views:
             data = copied(data)
         publisher.send(data, name)  # type: ignore[arg-type]  # a view only if it is accepted
         return len(data)

@@ -45,19 +45,16 @@ def line(text: str) -> bytes:
 class Side(FakeEdge):
     """An edge whose publishers record what they send."""
 
-    def __init__(self, registry: Registry, *, own_threads: bool = False, accepts_views: bool = True) -> None:
+    def __init__(self, registry: Registry, *, own_threads: bool = False, sends_views: bool = True) -> None:
         super().__init__(FakeNetwork(), registry)
         self.own_threads = own_threads  # type: ignore[misc]  # otherwise a constant of the class
-        self.accepts_views = accepts_views
+        self.sends_views = sends_views  # type: ignore[misc]
         self.sent: list[bytes] = []
         self.kinds: set[type] = set()
         self.sending: Callable[[], None] = lambda: None
 
     def advertise(self, *_: object) -> Any:
-        return SimpleNamespace(
-            send=self.send, accepts_views=self.accepts_views, dropped=0, has_subscribers=True, native=None,
-            close=lambda: None,
-        )  # fmt: skip
+        return SimpleNamespace(send=self.send, dropped=0, has_subscribers=True, native=None, close=lambda: None)
 
     def send(self, payload: bytes | memoryview, _source: str) -> None:
         self.sending()
@@ -69,13 +66,13 @@ class Side(FakeEdge):
 class Crossing:
     """A route to the hub in one worker, and a route from the hub in another one."""
 
-    def __init__(self, writer: Hub, reader: Hub, *, own_threads: bool, accepts_views: bool, qos: Qos) -> None:
+    def __init__(self, writer: Hub, reader: Hub, *, own_threads: bool, sends_views: bool, qos: Qos) -> None:
         registry, lease = Registry(), Lease()
         lease.extend(math.inf)
         self.type: SideType = registry.ros2(STRING)
         conversion = Conversion(self.type, self.type, registry.hub_check(STRING))
         key = RouteKey(TOPIC, STRING, self.type.type_id)
-        self.here, self.there = Side(registry, own_threads=own_threads), Side(registry, accepts_views=accepts_views)
+        self.here, self.there = Side(registry, own_threads=own_threads), Side(registry, sends_views=sends_views)
         self.dispatchers = Dispatcher("small"), Dispatcher("bulk")
         for dispatcher in self.dispatchers:
             dispatcher.start()
@@ -139,8 +136,8 @@ def crossing(network: HubNetwork, writer: Hub, tmp_path: Path) -> Iterator[Make]
     made: list[Crossing] = []
     with Hub.open(network.settings("reader", lane=str(tmp_path))) as reader:
 
-        def make(*, own_threads: bool = False, accepts_views: bool = True, qos: Qos = STREAM) -> Crossing:
-            made.append(Crossing(writer, reader, own_threads=own_threads, accepts_views=accepts_views, qos=qos))
+        def make(*, own_threads: bool = False, sends_views: bool = True, qos: Qos = STREAM) -> Crossing:
+            made.append(Crossing(writer, reader, own_threads=own_threads, sends_views=sends_views, qos=qos))
             return made[-1]
 
         yield make
@@ -153,19 +150,19 @@ SIZES = [(10, BULK + 1, 20), (3 * BULK, 1 << 20, 5, 1 << 20), (2 * BULK,)]
 
 
 @pytest.mark.parametrize("own_threads", [True, False])
-@pytest.mark.parametrize("accepts_views", [True, False])
+@pytest.mark.parametrize("sends_views", [True, False])
 @pytest.mark.parametrize("compiled", [True, False])
 def test_messages_of_all_sizes_cross_in_order(
-    crossing: Make, monkeypatch: pytest.MonkeyPatch, *, own_threads: bool, accepts_views: bool, compiled: bool
+    crossing: Make, monkeypatch: pytest.MonkeyPatch, *, own_threads: bool, sends_views: bool, compiled: bool
 ) -> None:
     if not compiled:
         for module in (copies, direct):
             monkeypatch.setattr(module, "buffers", None)
-    routes = crossing(own_threads=own_threads, accepts_views=accepts_views)
+    routes = crossing(own_threads=own_threads, sends_views=sends_views)
     routes.on_lane()
     for sizes in 3 * SIZES:
         routes.cross(*(chr(ord("a") + number) * size for number, size in enumerate(sizes)))
-    assert (memoryview in routes.there.kinds) == (accepts_views and compiled), "messages that wait are copied"
+    assert (memoryview in routes.there.kinds) == (sends_views and compiled), "messages that wait are copied"
 
 
 def test_a_block_is_given_back_when_its_message_was_sent(crossing: Make) -> None:

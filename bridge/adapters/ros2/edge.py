@@ -81,6 +81,7 @@ class Ros2Edge(SideEdge):
 
     side: ClassVar[str] = "ros2"
     services: ClassVar[bool] = True
+    sends_views: ClassVar[bool] = True
 
     def __init__(self, config: Config, registry: Registry, state: Path) -> None:
         super().__init__(config, registry)

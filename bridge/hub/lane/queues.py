@@ -96,13 +96,13 @@ class ReaderQueues(Generic[Queue]):
         self.update(queue)
 
     def update(self, queue: Queue) -> bool:
-        """Add a queue to the due ones or remove it, since its messages or loans have changed; return if it was added."""
-        was_due = queue in self.due
+        """Add a queue to the due ones, or remove it, after a change of its messages or loans; return if it is new."""
+        before = len(self.due)
         if queue.is_due:
             self.due[queue] = None
         else:
             self.due.pop(queue, None)
-        return queue.is_due and not was_due
+        return len(self.due) > before
 
     def _remove(self, queue: Queue, at: int) -> None:
         message = queue.queue[at]

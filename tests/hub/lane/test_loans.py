@@ -12,8 +12,8 @@ import pytest
 
 from bridge.hub.lane import loans as module
 from bridge.hub.lane.blocks import Blocks, StoredMessage
-from bridge.hub.lane.queues import MAX_LOANS
 from bridge.hub.lane.outlet import Outlet, ReaderLink
+from bridge.hub.lane.queues import MAX_LOANS
 from bridge.hub.lane.wire import BLOCK, BODY, BOUND, DATA, FENCE, HEAD, LOAN, PART, ROOM, SAMPLE, TOKEN
 from bridge.hub.wire.keys import pack_attachment, unpack_attachment
 

@@ -6,7 +6,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from functools import partial
-from typing import Any, ClassVar
+from typing import Any
 
 from bridge.adapters.ros2 import rcl, rmw
 from bridge.adapters.ros2.context import Closed, Ros2Context
@@ -114,8 +114,6 @@ class Ros2Publisher:
         for_readers: returns the converter of all messages, if the writers send to subscriptions of all versions.
         only: the subscriptions that the writers send to; None for all.
     """
-
-    accepts_views: ClassVar[bool] = True
 
     def __init__(
         self, topic: str, message_class: Any, qos: Qos, context: Ros2Context, closed: Closed,

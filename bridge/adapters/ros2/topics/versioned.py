@@ -53,12 +53,12 @@ class VersionedPublisher:
         """Whether another participant subscribes to the topic."""
         return self._here.has_subscribers
 
-    def send(self, payload: bytes, source: str) -> None:
+    def send(self, payload: bytes | memoryview, source: str) -> None:
         """Publish a source's message; raises `ConversionError` if a subscription's version cannot hold it."""
         with self._lock:  # a new version begins with this message or the one after it
             self._here.send(payload, source)
             if self.qos.latched and self._open:
-                self._last.setdefault(source, deque(maxlen=max(1, self.qos.depth))).append(payload)
+                self._last.setdefault(source, deque(maxlen=max(1, self.qos.depth))).append(bytes(payload))
             failure: MessageError | None = None
             for version, publisher in self._publishers.items():
                 try:
@@ -68,9 +68,9 @@ class VersionedPublisher:
         if failure is not None:
             raise failure
 
-    def _send(self, publisher: Ros2Publisher, version: str, payload: bytes, source: str) -> None:
+    def _send(self, publisher: Ros2Publisher, version: str, payload: bytes | memoryview, source: str) -> None:
         convert = self._converters[version]
-        publisher.send(payload if convert is None else convert(payload), source)
+        publisher.send(payload if convert is None else convert(bytes(payload)), source)
 
     def refit(self) -> None:
         """Open and close publishers as the versions of the subscriptions change."""

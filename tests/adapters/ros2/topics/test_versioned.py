@@ -30,8 +30,8 @@ class Recorder:
         self.sent: list[tuple[bytes, str]] = []
         self.closed = False
 
-    def send(self, payload: bytes, source: str) -> None:
-        self.sent.append((payload, source))
+    def send(self, payload: bytes | memoryview, source: str) -> None:
+        self.sent.append((bytes(payload), source))
 
     def drop_source(self, source: str) -> None:
         self.sent = [sent for sent in self.sent if sent[1] != source]
@@ -98,6 +98,20 @@ def test_a_new_version_gets_the_last_latched_messages_of_each_source(caplog: pyt
     versions.follow("new")
     assert versions.others["new"].sent == [(b"B", "s"), (b"C", "t")]
     assert "/wheels: a retained message was not published in another version: it does not fit" in caplog.text
+
+
+def test_a_message_in_the_memory_of_another_worker_is_copied_if_it_is_retained_or_converted() -> None:
+    versions, memory = TwoVersionPublisher(), bytearray(b"a")
+    versions.follow("new", "same")
+    versions.publisher.send(memoryview(memory), "s")
+    memory[:] = b"x"
+    versions.follow()
+    versions.follow("same")
+    assert [end.sent for end in (versions.here, *versions.others.values())] == [
+        [(b"a", "s")],
+        [(b"A", "s")],
+        [(b"a", "s")],
+    ]
 
 
 def test_versions_that_another_thread_has_read_earlier_are_not_applied_last() -> None:
