@@ -242,6 +242,7 @@ class LaneSubscription(HubSubscription):
                     self._by_lane += 1
                 elif source.held.get(sequence) is message:
                     self._by_lane += 1
+                    message.data()  # a message that has to wait must not occupy the sender's memory
                     self._schedule()
             for ready_message in ready:
                 self._callback(ready_message)

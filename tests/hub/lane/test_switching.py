@@ -16,6 +16,7 @@ from bridge.hub.endpoints.subscription import HubSample
 from bridge.hub.lane.blocks import Blocks
 from bridge.hub.lane.inlet import Inlet, LaneReader
 from bridge.hub.lane.joining import Joining
+from bridge.hub.lane.lent import LentPayload
 from bridge.hub.lane.wire import BOUND
 from bridge.hub.node import Hub
 from bridge.hub.session import HubSession
@@ -226,6 +227,25 @@ def test_message_that_is_still_on_a_closing_lane_is_received_before_later_ones(
         subscriber.expect("first", "late", "last")
         assert subscriber.texts() == ["first", "late", "last"]
         goes_by(subscriber, "zenoh", "foreign: it has no lane here")
+
+
+def test_a_large_message_that_waits_for_an_earlier_one_is_copied(
+    reader: Hub, writer: Hub, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A subscription that is closed meanwhile may remain until Python's next collection."""
+    subscriber, ours = Subscriber(reader, "/t"), advertise(writer, "/t")
+    chosen = subscription(subscriber)
+    goes_by(subscriber, "lane")
+    ours.put(b"first")
+    subscriber.expect("first")
+    monkeypatch.setattr(chosen._sequencer, "_both", lambda _gid: True)
+    (inlet,) = chosen._lanes.inlets
+    given_back: list[bool] = []
+    lent = LentPayload(memoryview(b"last"), lambda: given_back.append(True))
+    chosen.on_message(inlet, (ours.sender.sequence + 2, time.time_ns(), ours.gid), lent)
+    del lent
+    assert (given_back, subscriber.texts()) == ([True], ["first"])
+    subscriber.expect("first", "last")
 
 
 def test_subscription_that_is_closed_while_it_joins_a_lane_leaves_it(
