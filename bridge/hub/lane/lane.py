@@ -60,6 +60,7 @@ class Lane:
         self._to_check: dict[Choosing, None] = {}
         self._wake, self._closing = Event(), Event()
         self.calls = DelayedCalls("hub-lane-calls")
+        self.calls.after(0.0, lambda: None)  # starts the thread now, since the system may be out of threads later
         self.writer: LaneWriter | None = None
         self.why = ""
         folder.clean(path)  # before the writer listens, because it would count the check of its socket as a reader

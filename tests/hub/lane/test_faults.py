@@ -163,6 +163,27 @@ def test_without_descriptors_all_messages_use_zenoh(network: HubNetwork, tmp_pat
         whole(reader.ask("wait", id=subscription_id, count=len(texts) + 200, seconds=40.0)["texts"])
 
 
+def test_large_messages_are_sent_if_the_system_is_out_of_threads(
+    network: HubNetwork, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    lane = str(tmp_path)
+    with Hub.open(network.settings("writer", lane=lane)) as writer, network.hub_peer("reader", lane=lane) as reader:
+        publisher = advertise(writer, "/t")
+        number = reader.ask("subscription", topic="/t")["id"]
+        until(lambda: reader.ask("way", id=number)["way"] == "lane", "the subscription uses the lane")
+
+        def refuse(_: object) -> None:
+            raise RuntimeError("can't start new thread")
+
+        monkeypatch.setattr(threading.Thread, "start", refuse)
+        for count in (1, 2):
+            publisher.put(b"x" * 100_000)
+            assert reader.ask("wait", id=number, count=count, seconds=40.0)["texts"] == count * ["x" * 100_000]
+        monkeypatch.undo()
+        assert "a reader of the lane is disconnected" not in caplog.text
+        assert reader.ask("way", id=number)["way"] == "lane"
+
+
 def test_large_messages_use_zenoh_once_the_reader_has_no_descriptors(network: HubNetwork, tmp_path: Path) -> None:
     lane, size = str(tmp_path), 100_000
     with Hub.open(network.settings("writer", lane=lane)) as writer, network.hub_peer("reader", lane=lane) as reader:
