@@ -50,8 +50,8 @@ class Mapped:
         """Return the message in a block, given the block's number and file, and the message's size.
 
         It is a copy if the block cannot be mapped. The caller closes the file, which is -1 if this process had no
-        descriptor left. Raises `HubWireError` if the block does not have all of the message, and `OSError`, also if
-        the block is not mapped and there is no file.
+        descriptor left. Raises `HubWireError` if the block does not have all of the message, and `OSError`, for
+        example if a file is needed but missing.
         """
         with self._lock:
             memory, _ = self._blocks.pop(number, (None, 0.0))

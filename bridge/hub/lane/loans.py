@@ -39,7 +39,7 @@ class Loans(Generic[Queue]):
         return self._blocks.store(payload) if self.has_room(len(payload)) else None
 
     def begin(self, queue: Queue, block: Block, size: int) -> None:
-        """Note that the next loan, of a message of the queue's key, was sent."""
+        """Note that the next loan, a message of the given queue, was sent."""
         self._blocks.share(block)
         self._loans[self.next] = _Loan(queue, block, size)
         self.next = self.next % 0xFFFF_FFFF + 1
@@ -47,7 +47,7 @@ class Loans(Generic[Queue]):
         queue.loans += 1
 
     def end(self, number: int) -> Queue | None:
-        """End a loan that the reader has returned; return the key's queue, None if there is no such loan."""
+        """End a loan that the reader has returned; return the key's queue, None if the loan is unknown."""
         loan = self._loans.pop(number, None)
         if loan is None:
             return None

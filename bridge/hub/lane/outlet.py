@@ -217,7 +217,7 @@ class ReaderLink:
             sent = self._put(message.fence)
         elif len(message.payload) <= BOUND:
             sent = self._put(outlet.record(message.attachment, message.payload))
-        else:  # in parts also if the system passes no file on
+        else:  # in parts also if the system refuses to pass the file
             sent = self._lend_queued(outlet, message) or self._send_parts(outlet, message)
         if sent:
             self._queues.pop(outlet)

@@ -179,7 +179,7 @@ def test_a_command_does_not_wait_for_the_copy_of_a_large_message(
 def test_a_message_whose_file_the_system_does_not_pass_is_sent_in_parts(
     lender: Lender, monkeypatch: pytest.MonkeyPatch, *, queued: bool
 ) -> None:
-    """A user may have only so many descriptors on their way (unix(7), ETOOMANYREFS)."""
+    """The system limits the descriptors in sockets for each user (unix(7), ETOOMANYREFS)."""
     if queued:
         for number in range(1, MAX_LOANS + 1):
             lender.send(number)
