@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from collections.abc import Set as AbstractSet
 from pathlib import Path
 from typing import Any, TypeVar
 
-from bridge.config.sections.section import Section
+from bridge.config.sections.section import Mistake, Section
 from yarp_compat.os import config_text
 from yarp_compat.os.data.bottle import Property
 from yarp_compat.os.resource_places import find_in_context
@@ -40,6 +40,27 @@ def laid_under(
         raise RuntimeError(str(err)) from None
     defaults = {key: value for key, value in fields.items() if key in merged or key not in section.model_fields_set}
     return section.model_copy(update=defaults), ini.notes
+
+
+def mistakes_with_file(
+    section: S,
+    file: Path,
+    read: Callable[[S, Ini], dict[str, Any]],
+    misfits: Callable[[S], Iterable[Mistake]] = lambda _section: (),
+    *,
+    merged: Collection[str] = (),
+) -> Iterator[Mistake]:
+    """Yield the errors of a section's file, else the ``misfits`` of the section with the file's values.
+
+    The arguments are those of `laid_under`.
+    """
+    try:
+        whole, _ = laid_under(section, file, read, merged=merged)
+    except RuntimeError as err:
+        for line in str(err).splitlines():
+            yield ("ini",), line
+    else:
+        yield from misfits(whole)
 
 
 class Ini:

@@ -142,8 +142,6 @@ class SimSection(Section):
 
     @override
     def mistakes(self, config: Any) -> Iterable[Mistake]:
-        if not self.enabled:
-            return ()
         from sim.environment import ready
 
         shipped = self.plan in ready("plans") and self.robot in ready("robots")

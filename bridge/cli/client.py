@@ -50,7 +50,7 @@ def client_config(args: argparse.Namespace, *, stops: bool = False) -> Config:
     command that ``stops`` the robot uses the valid parts of any broken file, because the daemon may run regardless.
     """
     try:
-        config = named(load(args.config), os.environ, units.STATE)
+        config = named(load(args.config, client=True), os.environ, units.STATE)
     except ConfigError as err:
         file = config_file(args)
         if stops and file is not None and file.exists():

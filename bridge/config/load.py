@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -46,10 +46,14 @@ def find(environ: Mapping[str, str] = os.environ) -> Path | None:
     return None
 
 
-def load(path: Path | None = None) -> Config:
-    """Load a file, by default the one that `find` finds; raises `ConfigError` with all its problems."""
+def load(path: Path | None = None, *, client: bool = False) -> Config:
+    """Load a file, by default the one that `find` finds; raises `ConfigError` with all its problems.
+
+    For a ``client`` of the hub, it skips the checks of what only the daemon's workers use, such as the simulation's
+    plan: they import libraries and read files.
+    """
     file = path if path is not None else find()
-    return Config() if file is None else from_document(read(file))
+    return Config() if file is None else from_document(read(file), client=client)
 
 
 def loads(text: str, file: Path = Path("<text>")) -> Config:
@@ -57,7 +61,7 @@ def loads(text: str, file: Path = Path("<text>")) -> Config:
     return from_document(parse(file, text))
 
 
-def from_document(document: Document) -> Config:
+def from_document(document: Document, *, client: bool = False) -> Config:
     """Return the configuration in a document; see `load`."""
     data = {} if document.data is None else document.data
     if not isinstance(data, dict):
@@ -76,8 +80,8 @@ def from_document(document: Document) -> Config:
     placed: Config = _resolve_paths(config, (), document, missing)
     if missing:
         raise ConfigError(missing)
-    sections = ((name, section) for name, section in placed if isinstance(section, Section))
-    wrong = [((name, *path), text) for name, section in sections for path, text in section.mistakes(placed)]
+    sections = () if client else _enabled_sections(placed, ())
+    wrong = [((*place, *path), text) for place, section in sections for path, text in section.mistakes(placed)]
     if wrong:
         raise ConfigError([document.problem(path, text) for path, text in wrong])
     if refused := zenoh_problems(document, placed) or _mapping_rule_problems(document, placed):
@@ -95,6 +99,14 @@ def _without_empty(data: dict[str, Any], model: type[BaseModel]) -> dict[str, An
             continue
         kept[name] = _without_empty(value, inner) if isinstance(value, dict) and inner is not None else value
     return kept
+
+
+def _enabled_sections(section: Section, path: KeyPath) -> Iterator[tuple[KeyPath, Section]]:
+    """Yield the sections within a section that are not disabled, with their paths."""
+    for name, inner in section:
+        if isinstance(inner, Section) and getattr(inner, "enabled", None) is not False:
+            yield (*path, name), inner
+            yield from _enabled_sections(inner, (*path, name))
 
 
 def _resolve_paths(value: Any, path: KeyPath, document: Document, missing: list[Problem]) -> Any:

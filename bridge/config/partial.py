@@ -52,6 +52,6 @@ def _with_section(config: Config, file: Path, name: str, value: Any) -> Config:
 
 def _valid(file: Path, data: dict[str, Any]) -> Config | None:
     try:
-        return from_document(Document(file, data))
+        return from_document(Document(file, data), client=True)
     except ConfigError:
         return None

@@ -36,7 +36,7 @@ class MetricsSection(ServerSection):
     @override
     def conflict(self, config: Any) -> str:
         guarded: bool = config.web.guarded  # untyped: this lower layer cannot import the console's section
-        if not self.enabled or not self.reached or guarded:
+        if not self.reached or guarded:
             return ""
         return (
             f"other machines reach {self.listen}, but it has no login: give web.tokens"

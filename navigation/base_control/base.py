@@ -10,8 +10,8 @@ from typing import Any
 
 from navigation.base_control.commands import NO_CHOICE, STILL, Arbiter, CommandInput, FullControl
 from navigation.base_control.kinematics import Array, Traveled, WheelOdometry, kinematics
-from navigation.base_control.limits import FILTERS, Limiter, low_pass
-from navigation.base_control.section import BaseControlSection
+from navigation.base_control.limits import Limiter, low_pass
+from navigation.base_control.section import FILTERS, BaseControlSection
 from navigation.base_control.settings import limits
 from navigation.yarp import Commands
 

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from navigation.base_control.commands import STILL, Velocity
 from navigation.base_control.kinematics import Array, Kinematics
 
-FILTERS = (0, 1, 2, 4, 8)  # the cut-off frequencies of filters, Hz; 0 is none
 _NEAR = 1e-12
 
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator
 from typing_extensions import override
 
 from bridge.config.sections.section import (
     PORT,
     YARP_PORT,
+    Mistake,
     ModuleSection,
     Section,
     TopicName,
@@ -23,6 +25,9 @@ DEGREES = "degrees per second"
 
 WHEELS = {"cer": 2, "ikart_V1": 3}
 """The kinds of base, and how many wheels they have."""
+
+FILTERS = (0, 1, 2, 4, 8)
+"""The corner frequencies of filters, Hz; 0 is none."""
 
 
 def _port_below_prefix(name: str) -> str:
@@ -138,9 +143,17 @@ class BaseControlSection(ModuleSection):
         differ([item.name for item in value], "two inputs have the name")
         return value
 
-    @model_validator(mode="after")
-    def _joints_fit(self) -> BaseControlSection:
+    @override
+    def mistakes(self, config: Any) -> Iterable[Mistake]:
+        if self.ini is None:
+            return self.misfits()
+        from navigation.base_control.settings import read_file
+        from navigation.ini import mistakes_with_file
+
+        return mistakes_with_file(self, self.ini, read_file, BaseControlSection.misfits)
+
+    def misfits(self) -> Iterator[Mistake]:
+        """Yield the keys that do not fit the others."""
         count, wheels = len(self.joints), WHEELS[self.kind]
-        if self.ini is None and count not in (0, wheels):  # the file may set the kind
-            raise ValueError(f"'joints' names {count}, but a base of the kind {self.kind} has {wheels} wheels")
-        return self
+        if count not in (0, wheels):
+            yield ("joints",), f"names {count}, but a base of the kind {self.kind} has {wheels} wheels"

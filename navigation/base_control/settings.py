@@ -7,12 +7,13 @@ deg/s.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from navigation.base_control.kinematics import KINDS, KinematicsError, kinematics
-from navigation.base_control.limits import FILTERS, BaseLimits
-from navigation.base_control.section import INPUTS, BaseControlSection, BaseInput
+from navigation.base_control.section import FILTERS, INPUTS, WHEELS, BaseControlSection, BaseInput
 from navigation.ini import Ini, IniGroup, laid_under, port_name
+
+if TYPE_CHECKING:
+    from navigation.base_control.limits import BaseLimits
 
 _GENERAL, _GEOMETRY, _MOTORS, _STICK = "BASECTRL_GENERAL", "ROBOT_GEOMETRY", "MOTORS", "JOYSTICK"
 _INPUT = "BASECTRL_INPUTS_{}"
@@ -37,22 +38,23 @@ def resolved(section: BaseControlSection) -> tuple[BaseControlSection, list[str]
 
     Raises `RuntimeError` with the place and reason if the file is invalid, or the joints do not fit.
     """
+    from navigation.base_control.kinematics import KinematicsError, kinematics  # numpy, without which files are checked
+
     section, notes = laid_under(section, section.ini, read_file)
     try:
         wheels = kinematics(section.kind, section.wheel_radius, section.wheel_distance).joints
     except KinematicsError as err:
         raise RuntimeError(f"modules.base_control: {err}") from None
-    if section.joints and len(section.joints) != len(wheels):
-        raise RuntimeError(
-            f"modules.base_control.joints: a base of the kind {section.kind} has {len(wheels)} wheels, "
-            f"not {len(section.joints)}"
-        )
+    if misfit := next(section.misfits(), None):
+        raise RuntimeError(f"modules.base_control.{misfit[0][0]}: {misfit[1]}")
     update = {"joints": section.joints or wheels, "inputs": section.inputs or INPUTS}
     return section.model_copy(update=update), notes
 
 
 def limits(section: BaseControlSection) -> BaseLimits:
     """Return a section's limits, with angles in radians instead of degrees."""
+    from navigation.base_control.limits import BaseLimits
+
     return BaseLimits(
         linear=section.max_linear_vel,
         angular=math.radians(section.max_angular_vel),
@@ -94,8 +96,8 @@ def read_file(section: BaseControlSection, ini: Ini) -> dict[str, Any]:
 
 def _read_general(ini: Ini, group: IniGroup, fields: dict[str, Any], section: BaseControlSection) -> None:
     kind = group.text("robot_type", "")
-    if kind not in KINDS:
-        ini.errors.append(f"{group.where('robot_type')}: unknown kind of base '{kind}'; use {' or '.join(KINDS)}")
+    if kind not in WHEELS:
+        ini.errors.append(f"{group.where('robot_type')}: unknown kind of base '{kind}'; use {' or '.join(WHEELS)}")
     fields["kind"] = kind
     fields["max_linear_vel"] = group.number("max_linear_vel", None, 0.01, 3.0, "m/s")
     fields["max_angular_vel"] = group.number("max_angular_vel", None, 1.0, 360.0, "deg/s")

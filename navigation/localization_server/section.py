@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated, Any
 
-from pydantic import Field, model_validator
+from pydantic import Field
+from typing_extensions import override
 
 from bridge.config.sections.section import (
     FrameName,
     MapSource,
+    Mistake,
     ModuleSection,
     OptionalTopic,
     PortName,
@@ -48,12 +51,6 @@ class LocalizerSection(Section):
     recovery: float = setting(
         4.0, "Distance around the estimate within which better poses are searched for, meters.", gt=0.0, le=50.0
     )
-
-    @model_validator(mode="after")
-    def _good_is_better_than_poor(self) -> LocalizerSection:
-        if self.poor >= self.good:
-            raise ValueError(f"'poor' ({self.poor:g}) must be less than 'good' ({self.good:g})")
-        return self
 
 
 class LocalizationServerSection(ModuleSection):
@@ -118,3 +115,9 @@ class LocalizationServerSection(ModuleSection):
     )
     pose_port: PortName = setting("/localizationServer/pose:i", "For `port`: a `Map2DLocation`, or x, y and degrees.")
     localiser: LocalizerSection = subsection(LocalizerSection, "Settings of the source `own`.")
+
+    @override
+    def mistakes(self, config: Any) -> Iterator[Mistake]:
+        own = self.localiser
+        if own.poor >= own.good:
+            yield ("localiser", "poor"), f"{own.poor:g} must be less than 'good' ({own.good:g})"

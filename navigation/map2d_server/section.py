@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import Field, model_validator
+from pydantic import Field
+from typing_extensions import override
 
 from bridge.config.sections.section import (
     FrameName,
+    Mistake,
     ModuleSection,
     OptionalPort,
     PortName,
     Section,
     TopicName,
-    differ,
     matching,
+    repeated,
     setting,
 )
 
@@ -60,12 +63,14 @@ class Map2DServerSection(ModuleSection):
         'Points of `/clicked_point` become locations on the current map, named by this word and a number; "": none do.',
     )
 
-    @model_validator(mode="after")
-    def _nothing_comes_twice(self) -> Map2DServerSection:
-        differ([*self.ports, *filter(None, [self.command_port])], "two keys name the port")
-        differ([taken.topic for taken in self.take], "two entries of 'take' name the topic")
-        differ([taken.name for taken in self.take], "two entries of 'take' name the map")
-        return self
+    @override
+    def mistakes(self, config: Any) -> Iterator[Mistake]:
+        if twice := repeated([*self.ports, *filter(None, [self.command_port])]):
+            yield ("ports",), f"two keys name the port {twice}"
+        if twice := repeated([taken.topic for taken in self.take]):
+            yield ("take",), f"two entries name the topic {twice}"
+        if twice := repeated([taken.name for taken in self.take]):
+            yield ("take",), f"two entries name the map {twice}"
 
     def taken_as(self, topic: str) -> str:
         """Return the name in the store for maps from a topic; "" if they are not imported."""

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import model_validator
+from typing_extensions import override
 
 from bridge.config.sections.section import (
     PORT_OR_NONE,
     FrameName,
+    Mistake,
     ModuleSection,
     OptionalTopic,
     matching,
@@ -80,15 +82,24 @@ class Mapper2DSection(ModuleSection):
     )
     prefix: _Prefix = setting("/mapper2D", "Prefix of the module's YARP ports.")
 
-    @model_validator(mode="after")
-    def _fits_a_map(self) -> Mapper2DSection:
+    @override
+    def mistakes(self, config: Any) -> Iterable[Mistake]:
+        if self.ini is None:
+            return self.misfits()
+        from navigation.ini import mistakes_with_file
+        from navigation.mapper2d.settings import read_file
+
+        return mistakes_with_file(self, self.ini, read_file, Mapper2DSection.misfits)
+
+    def misfits(self) -> Iterator[Mistake]:
+        """Yield the keys that do not fit the others."""
         cells = self.width / self.resolution * self.height / self.resolution
         if cells > MOST_CELLS:
-            raise ValueError(
+            yield (
+                ("resolution",),
                 f"a map of {self.width:g} by {self.height:g} m with a resolution of {self.resolution:g} m has"
-                f" {cells:.0f} cells, more than {MOST_CELLS}: reduce its initial size, or use larger cells"
+                f" {cells:.0f} cells, more than {MOST_CELLS}: reduce its initial size, or use larger cells",
             )
-        return self
 
     @property
     def slam(self) -> bool:

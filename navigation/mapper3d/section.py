@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
+from typing_extensions import override
 
 from bridge.config.sections.section import (
     FLOOR,
     FrameName,
+    Mistake,
     ModuleSection,
     OptionalTopic,
     Section,
     TopicName,
-    differ,
     matching,
+    repeated,
     setting,
     subsection,
 )
@@ -105,9 +108,9 @@ class Mapper3DSection(ModuleSection):
     )
     prefix: _Prefix = setting("/mapper3D", "Prefix of the module's YARP ports.")
 
-    @model_validator(mode="after")
-    def _sees(self) -> Mapper3DSection:
-        differ([*self.clouds, *(source.image for source in self.depth)], "two sources have the topic")
+    @override
+    def mistakes(self, config: Any) -> Iterator[Mistake]:
+        if twice := repeated([*self.clouds, *(source.image for source in self.depth)]):
+            yield (), f"two sources have the topic {twice}"
         if self.nearest >= self.farthest:
-            raise ValueError(f"nearest ({self.nearest:g} m) is not nearer than farthest ({self.farthest:g} m)")
-        return self
+            yield ("nearest",), f"{self.nearest:g} m is not nearer than farthest ({self.farthest:g} m)"

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
+
+from typing_extensions import override
 
 from bridge.config.sections.obstacles import ObstacleSection
 from bridge.config.sections.section import (
@@ -11,6 +14,7 @@ from bridge.config.sections.section import (
     PORT_OR_NONE,
     FrameName,
     MapSource,
+    Mistake,
     ModuleSection,
     OptionalTopic,
     Section,
@@ -117,3 +121,12 @@ class RobotGotoSection(ModuleSection):
     memory: float = setting(20.0, "Seconds for which the laser's observation of a cell is valid.", ge=1.0, le=600.0)
     deadlock_time: float = setting(20.0, "Seconds without progress that count as a deadlock.", ge=1.0, le=3600.0)
     on_deadlock: Literal["abort", "pause"] = setting("abort", "In a deadlock: abort the goal, or wait until resumed.")
+
+    @override
+    def mistakes(self, config: Any) -> Iterable[Mistake]:
+        if self.ini is None:
+            return ()
+        from navigation.ini import mistakes_with_file
+        from navigation.robot_goto.settings import read_file
+
+        return mistakes_with_file(self, self.ini, read_file)

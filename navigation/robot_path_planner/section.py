@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import field_validator, model_validator
+from typing_extensions import override
 
 from bridge.config.sections.navigation import ACTION, OURS, planner_action
 from bridge.config.sections.obstacles import ObstacleSection
@@ -14,6 +15,7 @@ from bridge.config.sections.section import (
     YARP_PORT,
     FrameName,
     MapSource,
+    Mistake,
     ModuleSection,
     OptionalPort,
     OptionalTopic,
@@ -116,20 +118,25 @@ class RobotPathPlannerSection(ModuleSection):
     image_hz: float = setting(2.0, "Pictures per second on `map:o` while it is connected; 0: none.", ge=0.0, le=30.0)
     prefix: OptionalPort = setting("/robotPathPlanner", 'Prefix of the YARP ports; "": none.')
 
-    @model_validator(mode="after")
-    def _drives_with_another(self) -> RobotPathPlannerSection:
+    @override
+    def mistakes(self, config: Any) -> Iterable[Mistake]:
+        if self.ini is None:
+            return self.misfits()
+        from navigation.ini import mistakes_with_file
+        from navigation.robot_path_planner.settings import MERGED, read_file
+
+        return mistakes_with_file(self, self.ini, read_file, RobotPathPlannerSection.misfits, merged=MERGED)
+
+    def misfits(self) -> Iterator[Mistake]:
+        """Yield the keys that do not fit the others."""
         own = {ACTION, planner_action(OURS[0]), f"{YARP}{self.prefix}"}
         if self.navigator in own:
-            raise ValueError(
+            yield (
+                ("navigator",),
                 f"the local navigator {self.navigator} leads back to RobotPathPlanner itself: name the program that"
-                f" drives the robot, such as {planner_action(OURS[1])}"
+                f" drives the robot, such as {planner_action(OURS[1])}",
             )
-        return self
-
-    @field_validator("obstacles")
-    @classmethod
-    def _are_layers(cls, value: tuple[ObstacleSection, ...]) -> tuple[ObstacleSection, ...]:
-        cloud = next((source.topic for source in value if source.type == "cloud"), None)
-        if cloud is not None:
-            raise ValueError(f"{cloud} is a cloud: RobotPathPlanner plans around layers; give clouds to RobotGoto")
-        return value
+        for index, source in enumerate(self.obstacles):
+            if source.type == "cloud":
+                text = f"{source.topic} is a cloud: RobotPathPlanner plans around layers; give clouds to RobotGoto"
+                yield ("obstacles", index), text

@@ -31,6 +31,12 @@ _PROGRAMS = {
     ),
     "tf": "from bridge.cli.main import build_parser; build_parser(['tf'])",
     "verbs": f"from bridge.cli.main import build_parser; [build_parser([verb]) for verb in {_VERBS}]",
+    "client": (
+        "from pathlib import Path; from tempfile import TemporaryDirectory; from bridge.config.load import load\n"
+        "with TemporaryDirectory() as folder:\n"
+        "    (file := Path(folder, 'm.yaml')).write_text('sim: {enabled: true, start: [2.0, 2.0, 0.0]}')\n"
+        "    assert load(file, client=True).sim.start"
+    ),
     # every worker reads the built-in rules, so importing yaml would slow down each start
     "rules": "from bridge.messages.mapping.version_rules import built_in; assert len(built_in()) > 5",
     **{f"worker {name}": f"import bridge.daemon.worker_main, {modules}" for name, modules in _WORKERS.items()},
@@ -74,6 +80,10 @@ def test_daemon_verbs_load_no_message_types_at_start() -> None:
 
 def test_tf_verb_loads_no_conversions() -> None:
     assert not loaded()["tf"] & {"PIL", "ruamel.yaml", "bridge.messages.transcode", "bridge.routing.edge"}
+
+
+def test_a_clients_configuration_loads_no_libraries_of_the_workers() -> None:
+    assert not loaded()["client"] & {"numpy", "sim.plan", "zenoh"}
 
 
 @pytest.mark.parametrize("worker", _WORKERS)

@@ -34,7 +34,7 @@ def base(keys: str) -> str:
         ("ros1: {hostname: 'http://robot'}", f"ros1.hostname: 'http://robot' {NOT_A_HOST}"),
         ("yarp: {ip: '10.0.0.1 '}", f"yarp.ip: '10.0.0.1 ' {NOT_A_HOST}"),
         (base("kind: ikart"), "base_control.kind: 'ikart' is not one of cer, ikart_V1; did you mean 'ikart_V1'?"),
-        (base("joints: [a]"), "base_control: 'joints' names 1, but a base of the kind cer has 2 wheels"),
+        (base("joints: [a]"), "base_control.joints: names 1, but a base of the kind cer has 2 wheels"),
         (base("odom: 'a b'"), f"base_control.odom: 'a b' {NOT_A_TOPIC}"),
         (base("wheel_command: ''"), f"base_control.wheel_command: '' {NOT_A_TOPIC}"),
         (base("joint_states: wheels"), f"base_control.joint_states: 'wheels' {NOT_A_TOPIC}"),

@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
     from bridge.config.load import load
     from bridge.state_file import named
 
-    config = named(load(args.config))
+    config = named(load(args.config, client=True))
     address = _address(config)
     print(address, flush=True)
     if address.startswith("https:"):

@@ -50,7 +50,10 @@ class Section(BaseModel):
         return data
 
     def mistakes(self, config: Any) -> Iterable[Mistake]:  # noqa: ARG002 - most sections are checked alone
-        """Return what is wrong with the section in view of its files, and of the other sections of ``config``."""
+        """Return the keys that do not fit the contents of files, the section's other keys, or the rest of ``config``.
+
+        This is not asked of a disabled section, in which only each key and value by itself must be valid.
+        """
         return ()
 
 
@@ -115,11 +118,15 @@ def matching(pattern: str | re.Pattern[str], mistake: str) -> AfterValidator:
     return AfterValidator(check)
 
 
-def differ(values: Sequence[object], mistake: str) -> None:
-    """Raise `ValueError` if a value occurs twice; ``mistake`` precedes the first such value in the error."""
-    for value in values:
-        if values.count(value) > 1:
-            raise ValueError(f"{mistake} {value}")
+def repeated(values: Sequence[str]) -> str:
+    """Return the first text that occurs twice, "" if all differ."""
+    return next((value for value in values if values.count(value) > 1), "")
+
+
+def differ(values: Sequence[str], mistake: str) -> None:
+    """Raise `ValueError` if a text occurs twice; ``mistake`` precedes the first such text in the error."""
+    if twice := repeated(values):
+        raise ValueError(f"{mistake} {twice}")
 
 
 ROS2_NAME = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")

@@ -180,5 +180,5 @@ def test_a_missing_file_is_rejected(tmp_path: Path) -> None:
 
 
 def test_a_wrong_number_of_joints_is_rejected() -> None:
-    with pytest.raises(RuntimeError, match="has 2 wheels, not 1"):
+    with pytest.raises(RuntimeError, match="names 1, but a base of the kind cer has 2 wheels"):
         resolved(BaseControlSection().model_copy(update={"joints": ("one",)}))
