@@ -32,6 +32,7 @@ _LEAST: tuple[tuple[KeyPath, int, str], ...] = (
 
 _PROTOCOLS: KeyPath = ("transport", "link", "protocols")
 _GOSSIP: KeyPath = ("scouting", "gossip", "enabled")
+_MULTIHOP: KeyPath = ("scouting", "gossip", "multihop")
 _MULTICAST: KeyPath = ("scouting", "multicast", "enabled")
 _PEERS: KeyPath = ("listen", "endpoints")
 _MEETING: dict[KeyPath, tuple[KeyPath, str]] = {
@@ -43,7 +44,10 @@ _MEETING: dict[KeyPath, tuple[KeyPath, str]] = {
 
 
 def unusable(tree: Tree, section: KeyPath, config: Config) -> Iterator[Flaw]:
-    """Yield settings that zenoh accepts, but with which nothing would join, or nothing would be found."""
+    """Yield settings that zenoh accepts, but with which nothing would join, or nothing would be found.
+
+    ``config`` has the zenoh configurations of files inline.
+    """
     for path, least, what in _LEAST:
         if isinstance(value := _found(tree, path), int) and value < least:
             yield path, f"{value} permits no {what}; leave it out"
@@ -60,12 +64,32 @@ def unusable(tree: Tree, section: KeyPath, config: Config) -> Iterator[Flaw]:
     protocols, listens = _found(tree, _PROTOCOLS), config.hub.listen.partition("/")[0]
     if protocols and listens not in protocols:
         yield _PROTOCOLS, f"must contain {listens!r}, the protocol of 'hub.listen'"
-    workers = tree if section == WORKERS else config.hub.zenoh
-    clients = isinstance(workers, dict) and workers.get("mode") == "client"
-    if _found(tree, _GOSSIP) is False and not clients and not _found(tree, _MULTICAST):
-        yield _GOSSIP, "workers would not find each other; leave it out"
+    if (config.hub.zenoh or {}).get("mode", "peer") == "peer" and not _found(config.hub.zenoh, _MULTICAST):
+        yield from _unknown_peers(tree, section, config)
     if section == WORKERS and tree.get("mode", "peer") == "peer" and _of_mode(_found(tree, _PEERS), "peer") == []:
         yield _PEERS, "workers would not connect to each other; leave it out"
+
+
+_TOLD: dict[KeyPath, tuple[str, tuple[tuple[str, str], ...]]] = {
+    WORKERS: ("peer", (("target", "router"), ("autoconnect", "peer"))),
+    ROUTER: ("router", (("target", "peer"),)),
+}
+"""The mode of the hub's sessions, and the modes that some of their lists of modes need: a worker's address goes to the
+router, and from there to the other workers, which connect (tried with zenoh 1.10.2)."""
+
+
+def _unknown_peers(tree: Tree, section: KeyPath, config: Config) -> Iterator[Flaw]:
+    """Yield the settings of gossip with which workers that are peers would not learn each other's addresses."""
+    if _found(tree, _GOSSIP) is False:
+        yield _GOSSIP, "workers would not find each other; leave it out"
+    mode, lists = _TOLD[section]
+    for key, other in lists:
+        path = *_GOSSIP[:-1], key
+        if (modes := _of_mode(_found(tree, path), mode)) is not None and other not in modes:
+            yield path, f"workers would not connect to each other without {other!r} in this list; leave it out"
+    elsewhere = config.hub.router is False or _found(config.hub.router_zenoh, _MULTIHOP)
+    if section == WORKERS and _found(tree, _MULTIHOP) and not elsewhere:
+        yield _MULTIHOP, "workers would not find each other unless 'hub.router_zenoh' has it, too; leave it out"
 
 
 def _denies_everything(tree: Tree) -> Iterator[Flaw]:

@@ -8,6 +8,7 @@ import json
 import re
 import stat
 from collections.abc import Iterator
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -41,16 +42,29 @@ def zenoh_problems(document: Document, config: Config) -> list[Problem]:
     problems: list[Problem] = []
     if importlib.util.find_spec("zenoh") is None:  # a system without zenoh has no hub either
         return problems
+    inline = _with_files(config)
     for section in (*_SESSIONS, *_ROUTERS):
         settings: Any = config
         for part in section:
             settings = getattr(settings, str(part))
         if isinstance(settings, Path):
-            problems += _of_file(settings, section, config)
+            problems += _of_file(settings, section, inline)
         elif settings:
-            flaws = _of_tree(settings, section, config)
+            flaws = _of_tree(settings, section, inline)
             problems += [document.problem((*section, *path), text, at_key=True) for path, text in flaws]
     return problems
+
+
+def _with_files(config: Config) -> Config:
+    """Return the configuration with the contents of the hub's files of zenoh settings, as far as zenoh reads them."""
+    read: dict[str, Tree] = {}
+    for name in ("zenoh", "router_zenoh"):
+        if isinstance(file := getattr(config.hub, name), Path):
+            read[name] = {}
+            with suppress(_zenoh().ZError):
+                tree = json.loads(str(_zenoh().Config.from_file(str(file))))
+                read[name] = changed(tree, json.loads(str(_zenoh().Config())))
+    return config.model_copy(update={"hub": config.hub.model_copy(update=read)}) if read else config
 
 
 def _of_file(file: Path, section: KeyPath, config: Config) -> list[Problem]:

@@ -95,11 +95,11 @@ class Mapper2DSection(ModuleSection):
         """Yield the keys that do not fit the others."""
         cells = self.width / self.resolution * self.height / self.resolution
         if cells > MOST_CELLS:
-            yield (
-                ("resolution",),
+            text = (
                 f"a map of {self.width:g} by {self.height:g} m with a resolution of {self.resolution:g} m has"
-                f" {cells:.0f} cells, more than {MOST_CELLS}: reduce its initial size, or use larger cells",
+                f" {cells:.0f} cells, more than {MOST_CELLS}: reduce its initial size, or use larger cells"
             )
+            yield ("resolution",), text
 
     @property
     def slam(self) -> bool:

@@ -131,11 +131,11 @@ class RobotPathPlannerSection(ModuleSection):
         """Yield the keys that do not fit the others."""
         own = {ACTION, planner_action(OURS[0]), f"{YARP}{self.prefix}"}
         if self.navigator in own:
-            yield (
-                ("navigator",),
-                f"the local navigator {self.navigator} leads back to RobotPathPlanner itself: name the program that"
-                f" drives the robot, such as {planner_action(OURS[1])}",
+            text = (
+                f"{self.navigator} leads back to RobotPathPlanner itself: name the program that drives the robot, such"
+                f" as {planner_action(OURS[1])}"
             )
+            yield ("navigator",), text
         for index, source in enumerate(self.obstacles):
             if source.type == "cloud":
                 text = f"{source.topic} is a cloud: RobotPathPlanner plans around layers; give clouds to RobotGoto"

@@ -1,5 +1,7 @@
 """The contents of files that sections name are checked at load, so that a mistake stops nothing that runs."""
 
+# ruff: noqa: E501  each case is one line
+
 from __future__ import annotations
 
 from pathlib import Path
@@ -65,7 +67,7 @@ def test_a_modules_keys_are_checked_with_the_values_of_its_file(
         ("map2d_server", "take: [{topic: /a, name: x}, {topic: /b, name: x}]", "take: two entries name the map x"),
         ("mapper2d", "width: 400.0, height: 400.0, resolution: 0.005", "resolution: a map of 400 by 400 m"),
         ("mapper3d", "nearest: 5", "nearest: 5 m is not nearer than farthest (4 m)"),
-        ("robot_path_planner", "navigator: /navigate_to_pose", "navigator: the local navigator /navigate_to_pose leads"),
+        ("robot_path_planner", "navigator: /navigate_to_pose", "navigator: /navigate_to_pose leads back"),
         ("robot_path_planner", "obstacles: [{topic: /c, type: cloud}]", "obstacles[0]: /c is a cloud"),
     ],
 )  # fmt: skip

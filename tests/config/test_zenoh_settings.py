@@ -98,6 +98,37 @@ def test_settings_with_which_nothing_would_work_are_refused(section: str, settin
     assert line.endswith(f": hub.{section}.{place}: {text}")
 
 
+APART = "workers would not connect to each other without '{}' in this list; leave it out"
+HOPS = "workers would not find each other unless 'hub.router_zenoh' has it, too; leave it out"
+
+
+@pytest.mark.parametrize(
+    ("section", "gossip", "key", "text"),
+    [
+        ("zenoh", "autoconnect: []", "autoconnect", APART.format("peer")),
+        ("zenoh", "autoconnect: {peer: [router]}", "autoconnect", APART.format("peer")),
+        ("zenoh", "target: []", "target", APART.format("router")),
+        ("zenoh", "target: {peer: [peer]}", "target", APART.format("router")),
+        ("zenoh", "multihop: true", "multihop", HOPS),
+        ("router_zenoh", "target: []", "target", APART.format("peer")),
+        ("router_zenoh", "target: {router: [router]}", "target", APART.format("peer")),
+    ],
+)
+@pytest.mark.parametrize("inline", [True, False])
+def test_gossip_that_keeps_workers_apart_is_refused(
+    section: str, gossip: str, key: str, text: str, inline: bool, tmp_path: Path
+) -> None:
+    settings = f"{{scouting: {{gossip: {{{gossip}}}}}}}"
+    (file := tmp_path / "zenoh.yaml").write_text(settings)
+    (line,) = problems(f"hub: {{{section}: {settings if inline else file}}}")
+    assert line.endswith(f": hub.{section}.scouting.gossip.{key}: {text}")
+
+
+def test_gossip_may_be_off_if_the_workers_in_a_file_are_clients(tmp_path: Path) -> None:
+    (file := tmp_path / "zenoh.json5").write_text("{mode: 'client'}")
+    assert loads(f"hub: {{zenoh: {file}, router_zenoh: {{scouting: {{gossip: {{enabled: false}}}}}}}}")
+
+
 WORKERS_APART = "the workers would not reach the daemon's router, because the list replaces Midspan's; add 'tcp/127.0.0.1:7447' (hub.listen), or set 'hub.router: false' if this daemon has no router"
 ROUTER_APART = "workers and commands would not reach the router, because the list replaces Midspan's; add 'tcp/127.0.0.1:7447' (hub.listen)"
 MACHINES_APART = "other machines would not reach this machine's programs, because the list replaces Midspan's; add 'tcp/127.0.0.1:7447' (hub.listen)"
@@ -131,6 +162,9 @@ def test_endpoints_without_that_of_the_hub_are_refused(hub: str, place: str, tex
         "zenoh: {mode: client, listen: {endpoints: []}, scouting: {gossip: {enabled: false}}}",
         "zenoh: {mode: client}, router_zenoh: {scouting: {gossip: {enabled: false}}}",
         "zenoh: {connect: {endpoints: []}, scouting: {gossip: {enabled: false}, multicast: {enabled: true}}}",
+        "router: false, zenoh: {scouting: {gossip: {multihop: true}}}",
+        "zenoh: {scouting: {gossip: {autoconnect: []}, multicast: {enabled: true}}}",
+        "zenoh: {mode: client, scouting: {gossip: {autoconnect: [], target: [], multihop: true}}}",
         "listen: 'unixsock-stream//tmp/a', zenoh: {connect: {endpoints: ['unixsock-stream//tmp/a']}}",
         "router_zenoh: {listen: {endpoints: ['tcp/localhost:7447', 'tcp/127.0.0.1:7450']}}",
     ],

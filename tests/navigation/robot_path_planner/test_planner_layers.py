@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import pytest
 
 from bridge.config.sections.obstacles import ObstacleSection
 from navigation.robot_path_planner.section import RobotPathPlannerSection
