@@ -1,11 +1,15 @@
-"""A hub node with parameters, a client of its services, and rules that share the parameters with ROS 1."""
+"""A hub node with parameters, a client of its services, and rules and a server that share the parameters with ROS 1."""
 
 from __future__ import annotations
 
 import threading
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
 
-from bridge.adapters.ros1.parameters.store import codecs
+from typing_extensions import override
+
+from bridge.adapters.ros1.parameters.follower import ParameterSharing
+from bridge.adapters.ros1.parameters.store import ParameterServer, codecs, copies_parameter
 from bridge.adapters.ros1.parameters.values import NOT_SET, ParameterType, ParameterValue
 from bridge.config.sections.routing import ParameterRule
 from bridge.hub.endpoints.calls import CallError
@@ -15,6 +19,32 @@ from tests.support.wait import until
 
 REGISTRY = Registry()
 CODECS = codecs(REGISTRY)
+PERIOD = 0.1
+OWNER = "1d3f"
+COPIES = copies_parameter(OWNER)
+NOBODY = "http://127.0.0.1:1/"
+"""An address to which no master can report changes, so only the periodic comparison detects them."""
+
+
+class RecordingServer(ParameterServer):
+    """A master's parameter server that counts written parameters."""
+
+    def __init__(self, uri: str, owner: str = OWNER) -> None:
+        super().__init__(uri, lambda: "/midspan_test", NOBODY, owner)
+        self.written = 0
+
+    @override
+    def write(self, values: Mapping[str, Any]) -> list[str]:
+        self.written += len(values)
+        return super().write(values)
+
+
+class Share(Protocol):
+    """Starts sharing parameters by rules."""
+
+    def __call__(
+        self, *rules: ParameterRule, active: Callable[[], bool] = ..., store: ParameterServer | None = ...
+    ) -> ParameterSharing: ...
 
 
 def rule(owner: str, ros1: str, node: str, **more: Any) -> ParameterRule:
