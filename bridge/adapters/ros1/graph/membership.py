@@ -10,6 +10,7 @@ from bridge.adapters.ros1.graph.presence import Ledger, NodeEntry, is_alive, oth
 from bridge.adapters.ros1.graph.registrations import batches
 from bridge.adapters.ros1.graph.sim_time import SimTime
 from bridge.adapters.ros1.graph.state import NAMESPACE, MasterReader, MasterState
+from bridge.adapters.ros1.namespaces import delete_empty, is_empty
 from bridge.adapters.ros1.node.node import Ros1Node
 from bridge.adapters.ros1_peers import XmlRpcClient
 
@@ -72,8 +73,8 @@ class Membership:
             client.calls(batch)
         self.sim_time.leave(client)
         (tree,) = client.calls([("getParam", (entry.node, NAMESPACE))])
-        if _is_empty(tree):
-            client.calls([("deleteParam", (entry.node, NAMESPACE))])
+        if is_empty(tree):
+            delete_empty(client, entry.node, [NAMESPACE])
         self._ledger.remember(None)
 
     def responds(self, uri: str) -> bool:
@@ -91,8 +92,3 @@ class Membership:
             if not any(self.responds(holder) for holder in holders):
                 return name
         return f"{second}_{os.getpid()}"
-
-
-def _is_empty(tree: object) -> bool:
-    """Return whether a namespace has no values."""
-    return isinstance(tree, dict) and all(map(_is_empty, tree.values()))

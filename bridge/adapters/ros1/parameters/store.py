@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from bridge.adapters.ros1.namespaces import delete_empty
 from bridge.adapters.ros1.parameters.values import Unreadable
 from bridge.adapters.ros1_peers import Call, RefusedError, Ros1Error, Ros1ProtocolError, XmlRpcClient
 from bridge.hub.endpoints.calls import Done
@@ -207,7 +208,7 @@ class ParameterServer:
         """Delete the listed namespaces without values, which a master keeps."""
         taken = self.taken()
         empty = frozenset(name for name in self.namespaces if name not in taken)
-        self.write(dict.fromkeys(sorted(empty, reverse=True)))
+        delete_empty(self._client, self._caller(), empty)
         self._list_namespaces(self.namespaces - empty)
 
     def close(self) -> None:

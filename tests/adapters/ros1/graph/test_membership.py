@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -10,9 +11,10 @@ import pytest
 
 from bridge.adapters.ros1.graph import presence
 from bridge.adapters.ros1.graph.membership import Membership
-from bridge.adapters.ros1.graph.presence import NodeEntry, is_alive
-from bridge.adapters.ros1.graph.state import MasterState
-from bridge.adapters.ros1_peers import ExhaustedError, RefusedError, Ros1Error, UnreachableError
+from bridge.adapters.ros1.graph.presence import Ledger, NodeEntry, is_alive
+from bridge.adapters.ros1.graph.state import NAMESPACE, PRESENCE, MasterReader, MasterState
+from bridge.adapters.ros1_peers import Call, ExhaustedError, RefusedError, Ros1Error, UnreachableError, XmlRpcClient
+from tests.peers.ros1.network import RosMaster, needs_ros1
 
 HOLDER = NodeEntry("owner", "first", "/midspan", "http://holder:1/", 7)
 STATE = MasterState("run", "network", uris={HOLDER.node: HOLDER.uri})
@@ -69,3 +71,26 @@ def test_a_process_without_descriptors_decides_nothing(monkeypatch: pytest.Monke
     answer(monkeypatch, [ExhaustedError("no file descriptor left")])
     with pytest.raises(ExhaustedError):
         free_name()
+
+
+class BusyClient(XmlRpcClient):
+    """A client of a master on which another node joins after this node has read that `NAMESPACE` is empty."""
+
+    def calls(self, calls: Sequence[Call]) -> list[Any]:
+        answers = super().calls(calls)
+        if calls == [("getParam", ("/midspan", NAMESPACE))] and answers == [{"nodes": {}}]:
+            super().calls([("setParam", ("/other", f"{PRESENCE}/node_other", HOLDER.as_dict()))])
+        return answers
+
+
+@needs_ros1
+def test_a_node_that_joins_while_the_last_one_leaves_keeps_its_entry(master: RosMaster, tmp_path: Path) -> None:
+    client = BusyClient(master.uri, 20.0)
+    node: Any = SimpleNamespace(name="/midspan", uri="http://127.0.0.1:1/", port=2)
+    reader = MasterReader(client, node.name)
+    membership = Membership(node, "daemon", Ledger(tmp_path), client, reader, simulated=False)
+    membership.join(reader.read())
+    membership.leave(client)
+    assert master.call("getParam", NAMESPACE) == {"nodes": {"node_other": HOLDER.as_dict()}}
+    master.call("deleteParam", NAMESPACE)
+    client.close()

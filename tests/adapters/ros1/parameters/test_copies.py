@@ -5,11 +5,16 @@ from __future__ import annotations
 import json
 import math
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-from bridge.adapters.ros1.parameters.store import ParameterServer, copies_parameter, namespaces_parameter
+from bridge.adapters.ros1.parameters.store import (
+    ParameterServer,
+    TakenNames,
+    copies_parameter,
+    namespaces_parameter,
+)
 from bridge.adapters.ros1.parameters.values import MAX_DEPTH, NOT_SET, ParameterType, ParameterValue
 from bridge.hub.node import Hub
 from tests.peers.ros1.adapter import edge_on
@@ -235,3 +240,33 @@ def test_only_namespaces_of_copies_are_deleted(master: RosMaster, hubs: tuple[Hu
     assert master.call("getParam", "/spaces") == {"mine": {}}
     assert master.call("getParam", "/more") == {"spaces": {"used": {"own": 4}}}
     assert master.call("getParam", namespaces_parameter(OWNER)) is None
+
+
+class BusyServer(RecordingServer):
+    """A parameter server on which ``program`` runs after each read of the names, before anything is deleted."""
+
+    program: Callable[[], object] = staticmethod(lambda: None)
+
+    def taken(self, without: Collection[str] = ()) -> TakenNames:
+        taken = super().taken(without)
+        self.program()
+        return taken
+
+
+@needs_ros1
+def test_a_value_that_is_set_just_before_its_namespace_is_deleted_stays(master: RosMaster):
+    store = BusyServer(master.uri)
+    copies = ["/busy/a/b/copy", "/busy/c"]
+    assert store.copy({"/busy/a/b/copy": 1, "/busy/c": 2}, copies) == []
+    assert sorted(master.call("getParam", namespaces_parameter(OWNER))) == ["/busy", "/busy/a", "/busy/a/b"]
+
+    def program() -> None:
+        master.call("setParam", "/busy/a/b", {"own": 3, "list": [1, 2], "inner": {"text": "x"}})
+        master.call("setParam", "/busy/d", 4)
+
+    store.program = program
+    assert store.copy(dict.fromkeys(copies), ()) == []
+    assert master.call("getParam", "/busy") == {"a": {"b": {"own": 3, "list": [1, 2], "inner": {"text": "x"}}}, "d": 4}
+    assert master.call("getParam", namespaces_parameter(OWNER)) is None
+    store.close()
+    master.call("deleteParam", "/busy")
