@@ -24,6 +24,7 @@ from bridge.adapters.ros1.graph.probe import Ros1Context
 from bridge.adapters.ros1.graph.standing import Connections, StandingGraph
 from bridge.adapters.ros1.graph.state import MasterState, Registration
 from bridge.adapters.ros1.node.node import NodeEvents, Ros1Node
+from bridge.adapters.ros1.node.slave import ParameterUpdate
 from bridge.adapters.ros1.peer_pool import PeerPool
 from bridge.adapters.ros1.services.services import Ros1Services
 from bridge.adapters.ros1.topics.book import TopicBook
@@ -333,7 +334,7 @@ class Ros1Edge(SideEdge):
 
         self._parameters = sharing = ParameterSharing(rules, hub, self._registry, self._parameter_server(), active)
 
-        def changed(_key: str) -> bool:
+        def changed(_update: ParameterUpdate) -> bool:
             sharing.compare_soon()
             return True
 

@@ -18,7 +18,7 @@ class RecordedCalls:
     def publisher_update(self, api: str, topic: str, publishers: list[str]) -> None:
         self.calls.append((api, "publisherUpdate", topic, list(publishers)))
 
-    def param_update(self, subscriber: Link, _subscribed_key: str, key: str, value: Any) -> None:
+    def param_update(self, subscriber: Link, _subscribed_key: str, key: str, value: Any, **_more: bool) -> None:
         self.calls.append((subscriber.api, "paramUpdate", key, value))
 
     def shut_down(self, api: str, node: str, reason: str) -> None:

@@ -19,6 +19,7 @@ from bridge.adapters.ros1.graph.prompts import Prompts
 from bridge.adapters.ros1.graph.registrations import NodeRegistrations, batches
 from bridge.adapters.ros1.graph.state import MasterReader, MasterState, Registration
 from bridge.adapters.ros1.node.node import Ros1Node
+from bridge.adapters.ros1.node.slave import ParameterUpdate
 from bridge.adapters.ros1.peer_pool import PeerPool
 from bridge.adapters.ros1_peers import ExhaustedError, Ros1Error, Ros1ProtocolError, UnreachableError, XmlRpcClient
 
@@ -92,9 +93,9 @@ class Master:
         """Stop registering, because another node has this name, and the two would shut each other down in turn."""
         self._name_lost = True
 
-    def on_parameter(self, key: str) -> bool:
+    def on_parameter(self, update: ParameterUpdate) -> bool:
         """Handle an update of a parameter; return whether the master's thread has subscribed to it."""
-        subscribed = self._membership.sim_time.on_parameter(key)
+        subscribed = self._membership.sim_time.on_parameter(update)
         if subscribed:
             self._wake.set()
         return subscribed
@@ -148,6 +149,11 @@ class Master:
             self.polled_at = time.monotonic()
             state = self._reader.read()
             self._run_id = state.run
+        elif not self._name_lost and not self._membership.is_listed(state):
+            # a restarted master may have the same run id and process id, for example in a container
+            self._membership.rejoin(state)
+            self.polled_at = time.monotonic()
+            state = self._reader.read()
         self._membership.sim_time.refresh()
         self._check_name(state)
         calls = [] if self._name_lost else self._registrations.corrections(state, self.presence())

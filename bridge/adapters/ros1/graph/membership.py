@@ -65,6 +65,17 @@ class Membership:
         self._ledger.remember(self.entry())
         _log.info("joined the ROS 1 network %s as %s", state.network, name)
 
+    def is_listed(self, state: MasterState) -> bool:
+        """Return whether a master with this state has the entry of this node."""
+        entry = self.entry()
+        return NodeEntry.parse(state.presence.get(entry.key)) == entry
+
+    def rejoin(self, state: MasterState) -> None:
+        """Set the entry and the parameter again on a master that has lost them."""
+        entry = self.entry()
+        self._client.calls([("setParam", (entry.node, entry.parameter, entry.as_dict()))])
+        self.sim_time.join(others(state, entry), predecessor=False)
+
     def leave(self, client: XmlRpcClient) -> None:
         """Remove everything that the master lists for this node."""
         entry = self.entry()

@@ -53,7 +53,7 @@ class NodeRegistrations:
         self._ended_topics: set[str] = set()
 
     def corrections(self, state: MasterState, entry: NodeEntry) -> list[Call]:
-        """Return the calls that correct this node's registrations, and its entry on the master."""
+        """Return the calls that correct this node's registrations; ``entry`` is its entry on the master."""
         name, uri = self._node.name, self._node.uri
         self._ended_topics |= self._node.take_removed()
         published, subscribed = self._node.publications(), self._node.subscriptions()
@@ -72,8 +72,6 @@ class NodeRegistrations:
             *(("registerSubscriber", (name, t, subscribed[t], uri)) for t in subscribed.keys() - has_subscribed),
             *self._service_calls(state),
         ]
-        if NodeEntry.parse(state.presence.get(entry.key)) != entry:
-            calls.append(("setParam", (name, entry.parameter, entry.as_dict())))
         self._refused &= {_what(call) for call in calls}
         return calls
 

@@ -7,13 +7,14 @@ process and end with the master. The nodes of all daemons share it: one node may
 from __future__ import annotations
 
 import logging
-import threading
-from collections.abc import Iterable, Iterator
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from bridge.adapters.ros1.graph.presence import NodeEntry, is_alive
 from bridge.adapters.ros1.graph.state import PRESENCE
 from bridge.adapters.ros1.node.node import Ros1Node
+from bridge.adapters.ros1.node.slave import ParameterUpdate
 from bridge.adapters.ros1_peers import Call, Ros1Error, XmlRpcClient
 
 _log = logging.getLogger(__name__)
@@ -23,6 +24,9 @@ SIM_TIME = "/use_sim_time"
 
 SET_BY = "/midspan/use_sim_time"
 """``{uri, before}``: the XML-RPC address of the node that set `SIM_TIME`, and a list of the value that it replaced."""
+
+_MAX_UPDATES = 100
+"""Maximum number of updates that wait for the next read of the master."""
 
 
 class SimTime:
@@ -37,18 +41,18 @@ class SimTime:
         self._node, self._client = node, client
         self.wanted = self.simulated = wanted
         self._set_by: Any = None
-        self._changed = threading.Event()
+        self._updates: deque[ParameterUpdate] = deque(maxlen=_MAX_UPDATES)
 
-    def on_parameter(self, key: str) -> bool:
-        """Handle an update of a parameter that another program has set; return whether it is this one. Thread-safe."""
-        if key.rstrip("/") != SIM_TIME:
+    def on_parameter(self, update: ParameterUpdate) -> bool:
+        """Handle an update of a parameter; return whether it is this one. Thread-safe."""
+        if update.key.rstrip("/") != SIM_TIME:
             return False
-        self._changed.set()
+        self._updates.append(update)
         return True
 
     def join(self, others: Iterable[NodeEntry], *, predecessor: bool) -> None:
         """Set the parameter if it is wanted; else take it back for a dead ``predecessor`` that ran on ``/clock``."""
-        self._changed.clear()
+        self._updates.clear()
         self._client.calls([("subscribeParam", (self._node.name, self._node.uri, SIM_TIME))])
         value, self._set_by = self._read(self._client)
         if self.wanted and not value:
@@ -70,21 +74,22 @@ class SimTime:
 
         If another node has just taken it back, this node sets it again.
         """
-        if not self._changed.is_set():
+        updates = [self._updates.popleft() for _ in range(len(self._updates))]
+        if not updates:
             return
-        self._changed.clear()
         try:
-            self._follow(*self._read(self._client))
+            self._follow(*self._read(self._client), updates)
         except Ros1Error:
-            self._changed.set()
+            self._updates.extendleft(reversed(updates))
             raise
 
-    def _follow(self, value: Any, set_by: Any) -> None:
+    def _follow(self, value: Any, set_by: Any, updates: Sequence[ParameterUpdate]) -> None:
         me = self._node.name
+        is_set = value is not True or not all(update.repeated for update in updates)
         if value is None and set_by is None and self.wanted:
             self._set(value)
             value, set_by = True, self._set_by
-        elif set_by is not None and set_by == self._set_by and not self._is_shared():
+        elif is_set and set_by is not None and set_by == self._set_by and not self._is_shared():
             _log.info("%s was set to %s by another program, and will not be reset", SIM_TIME, value)
             self._client.calls([("deleteParam", (me, SET_BY))])
             set_by = None

@@ -48,8 +48,10 @@ class Outbox(Protocol):
     def publisher_update(self, api: str, topic: str, publishers: list[str]) -> None:
         """Report the publishers of a topic to a subscriber."""
 
-    def param_update(self, subscriber: Link, subscribed_key: str, key: str, value: Any) -> None:
-        """Report a parameter's value to a subscriber."""
+    def param_update(
+        self, subscriber: Link, subscribed_key: str, key: str, value: Any, *, repeated: bool = False
+    ) -> None:
+        """Report a parameter's value to a subscriber; ``repeated`` if no program has just set it."""
 
     def shut_down(self, api: str, node: str, reason: str) -> None:
         """Ask a node to shut down."""
@@ -338,7 +340,7 @@ class MasterApi:
             for key in self.registrations.keys(Kind.PARAMETER):
                 value = self.parameters.get(key) if self.parameters.has(key) else {}
                 for link in self.registrations.links(Kind.PARAMETER, key):
-                    self._outbox.param_update(link, key, key, value)
+                    self._outbox.param_update(link, key, key, value, repeated=True)
 
     # -- the graph -----------------------------------------------------------------------------------------------------
 

@@ -15,6 +15,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from bridge.adapters.ros1.master.registrations import Link
+from bridge.adapters.ros1.node.slave import REPEATING_MASTER
 from bridge.adapters.ros1_peers import (
     MAX_NODE_ANSWER,
     ExhaustedError,
@@ -73,9 +74,12 @@ class NodeCalls:
         call = _Call("publisherUpdate", (CALLER, topic, publishers), None, "")
         self._put(api, ("topic", topic), call)
 
-    def param_update(self, subscriber: Link, subscribed_key: str, key: str, value: Any) -> None:
-        """Report a parameter's value to a subscriber."""
-        call = _Call("paramUpdate", (CALLER, key, value), subscriber, subscribed_key)
+    def param_update(
+        self, subscriber: Link, subscribed_key: str, key: str, value: Any, *, repeated: bool = False
+    ) -> None:
+        """Report a parameter's value to a subscriber; ``repeated`` if no program has just set it."""
+        caller = REPEATING_MASTER if repeated else CALLER
+        call = _Call("paramUpdate", (caller, key, value), subscriber, subscribed_key)
         self._put(subscriber.api, ("parameter", key, subscribed_key, subscriber.node), call)
 
     def shut_down(self, api: str, node: str, reason: str) -> None:

@@ -17,7 +17,7 @@ from bridge.adapters.ros1.graph.state import Registration
 from bridge.adapters.ros1.handshake import Header
 from bridge.adapters.ros1.node.address import NodeAddress
 from bridge.adapters.ros1.node.greeting import TcprosServer
-from bridge.adapters.ros1.node.slave import SlaveApi, SlaveEvents, SlaveState
+from bridge.adapters.ros1.node.slave import ParameterUpdate, SlaveApi, SlaveEvents, SlaveState
 from bridge.adapters.ros1.services.server import ServiceServers
 from bridge.adapters.ros1.topics.publication import figure
 from bridge.adapters.ros1.xmlrpc import XmlRpcServer
@@ -52,14 +52,14 @@ class Ros1Node:
 
     Attributes:
         name: the node's name; may be changed while nothing is registered under the old name.
-        parameter_listeners: called with the key of a changed parameter; each returns whether it has subscribed to it.
+        parameter_listeners: called with the update of a parameter; each returns whether it has subscribed to it.
     """
 
     def __init__(
         self, name: str, master_uri: str, context: Ros1Context, servers: ServiceServers, events: NodeEvents
     ) -> None:
         self.name = name
-        self.parameter_listeners: set[Callable[[str], bool]] = set()
+        self.parameter_listeners: set[Callable[[ParameterUpdate], bool]] = set()
         self._book, self._servers, self._events = context.book, servers, events
         address = NodeAddress.of(os.environ)
         state = SlaveState(
@@ -107,8 +107,8 @@ class Ros1Node:
         self._book.close()
         self._server.close()
 
-    def _on_parameter(self, key: str) -> bool:
-        replies = [listener(key) for listener in tuple(self.parameter_listeners)]
+    def _on_parameter(self, update: ParameterUpdate) -> bool:
+        replies = [listener(update) for listener in tuple(self.parameter_listeners)]
         return any(replies)
 
     def _admit(self, sock: DeadlineSocket, header: Header) -> str:

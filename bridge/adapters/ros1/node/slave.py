@@ -16,7 +16,24 @@ from bridge.adapters.ros1.topics.book import TopicBook
 
 Answer = Sequence[Any]
 
+REPEATING_MASTER = "/master/repeat"
+"""The caller's name in a ``paramUpdate`` by which Midspan's own master repeats values after it has restarted. For other
+updates it is ``/master``, as with ``rosmaster``. rospy and roscpp ignore the name."""
+
 _TCPROS = "TCPROS"
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterUpdate:
+    """An update of a parameter.
+
+    Attributes:
+        key: the parameter's name, with or without a trailing slash.
+        repeated: whether the master repeats the value after it has restarted; otherwise a program has set it.
+    """
+
+    key: str
+    repeated: bool = False
 
 
 class _InvalidCallError(Exception):
@@ -50,12 +67,12 @@ class SlaveEvents:
 
     Attributes:
         publishers_changed: called when the publishers of a subscribed topic have changed.
-        parameter_changed: called with the key of a changed parameter; returns False if it is not subscribed.
+        parameter_changed: called with the update of a parameter; returns False if it is not subscribed.
         shutdown: called with the reason when another node, the master or a user requests the node's shutdown.
     """
 
     publishers_changed: Callable[[], None]
-    parameter_changed: Callable[[str], bool]
+    parameter_changed: Callable[[ParameterUpdate], bool]
     shutdown: Callable[[str], None]
 
 
@@ -85,10 +102,10 @@ class SlaveApi:
         self._events.shutdown(f"{caller} requested this node's shutdown{reason}")
         return 1, "shutdown", 0
 
-    def _parameter_update(self, _caller: str, key: object, _value: object) -> Answer:
-        name = _text(key, "parameter_key")
+    def _parameter_update(self, caller: str, key: object, _value: object) -> Answer:
         # the value is read again, since several updates may arrive in any order
-        return (1, "", 0) if self._events.parameter_changed(name) else (-1, "not subscribed", 0)
+        update = ParameterUpdate(_text(key, "parameter_key"), repeated=caller == REPEATING_MASTER)
+        return (1, "", 0) if self._events.parameter_changed(update) else (-1, "not subscribed", 0)
 
     def _publisher_update(self, caller: str, topic: object, publishers: object) -> Answer:
         _resolved(caller, topic)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -14,8 +15,11 @@ from bridge.adapters.ros1.graph import sim_time as sim_time_module
 from bridge.adapters.ros1.graph.presence import NodeEntry
 from bridge.adapters.ros1.graph.sim_time import SET_BY, SIM_TIME, SimTime
 from bridge.adapters.ros1.graph.state import PRESENCE
+from bridge.adapters.ros1.master.embedded import EmbeddedMaster
+from bridge.adapters.ros1.node.slave import ParameterUpdate
 from tests.peers.ros1.adapter import EdgeUnderTest, edge_on
 from tests.peers.ros1.network import RosMaster, needs_ros1
+from tests.support.ports import free_port
 from tests.support.wait import until
 
 pytestmark = needs_ros1
@@ -116,7 +120,7 @@ def test_nodes_that_join_at_the_same_time_do_not_take_each_other_for_programs() 
     master.before_set = lambda: one.join([], predecessor=False)  # after the other one has read that it is not set
     two.join([], predecessor=False)
     for node in (one, two):
-        node.on_parameter(SIM_TIME)
+        node.on_parameter(ParameterUpdate(SIM_TIME))
         node.refresh()
     for node, name in ((one, "one"), (two, "two")):
         assert master.parameters[SIM_TIME] is True
@@ -169,3 +173,80 @@ def test_new_programs_run_on_the_system_clock_after_a_simulated_run(master: RosM
         edge.leave()
     with master.peer("late") as peer:
         assert peer.ask("now")["seconds"] > 0
+
+
+class RestartingMaster:
+    """Midspan's master, which has the same process id and run id after each restart, as in a container.
+
+    Attributes:
+        reads: how often `SET_BY` was read since the last start.
+    """
+
+    def __init__(self, state: Path) -> None:
+        self._state, self._port = state / "master.json", free_port()
+        self.start()
+        self._run_id = self.get("/run_id")
+
+    def start(self) -> None:
+        self._master = EmbeddedMaster("127.0.0.1", self._port, state=self._state, rosout=False)
+        self.uri, self.reads = self._master.uri, 0
+        get = self._master.api.methods["getParam"]
+
+        def get_param(caller: str, key: str) -> Any:
+            self.reads += key == SET_BY
+            return get(caller, key)
+
+        self._master.api.methods["getParam"] = get_param
+        if not self._state.exists():
+            self._master.api.set_param("/roslaunch", "/run_id", getattr(self, "_run_id", "1"))
+        self._master.start()
+
+    def restart(self, *, forget: bool) -> None:
+        self.close()
+        if forget:
+            self._state.unlink()
+        self.start()
+
+    def get(self, name: str) -> Any:
+        code, _, value = self._master.api.get_param("/test", name)
+        return value if code == 1 else None
+
+    def close(self) -> None:
+        self._master.close()
+
+
+@pytest.fixture
+def restarting(tmp_path: Path) -> Iterator[RestartingMaster]:
+    with contextlib.closing(RestartingMaster(tmp_path)) as master:
+        yield master
+
+
+@pytest.mark.parametrize("before", [None, False])
+def test_a_restart_of_midspans_master_is_not_taken_for_a_programs_value(
+    restarting: RestartingMaster, tmp_path: Path, before: Any
+) -> None:
+    """The master repeats all parameters to their subscribers, since it may have been killed before it sent them."""
+    if before is not None:
+        restarting._master.api.set_param("/test", SIM_TIME, before)
+    with edge_on(cast("Any", restarting), tmp_path, clock="sim", poll=2.0) as edge:
+        until(lambda: restarting.get(SIM_TIME) is True, "the value is set")
+        restarting.restart(forget=False)
+        until(lambda: restarting.reads > 0, "the node has read the repeated value")
+        edge.leave()
+        assert restarting.get(SIM_TIME) is before
+        assert restarting.get(SET_BY) is None
+
+
+def test_a_master_that_has_lost_its_parameters_gets_the_value_again(
+    restarting: RestartingMaster, tmp_path: Path
+) -> None:
+    """Such a master has neither another run id nor another process id, so it does not seem to have restarted."""
+    with edge_on(cast("Any", restarting), tmp_path, clock="sim", poll=1.0) as edge:
+        until(lambda: restarting.get(SIM_TIME) is True, "the value is set")
+        restarting.restart(forget=True)
+        until(lambda: restarting.get(SIM_TIME) is True, "the value is set again")
+        restarting._master.api.delete_param("/test", SET_BY)
+        restarting._master.api.delete_param("/test", SIM_TIME)
+        until(lambda: restarting.get(SIM_TIME) is True, "the node has subscribed again")
+        edge.leave()
+        assert restarting.get(SIM_TIME) is None

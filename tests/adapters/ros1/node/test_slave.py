@@ -203,7 +203,7 @@ def test_udpros_is_refused_and_tcpros_chosen(node: Node) -> None:
 def test_an_update_is_reported_only_if_a_parameter_is_subscribed(node: Node, monkeypatch: pytest.MonkeyPatch) -> None:
     woken: list[str] = []
     assert node.call("paramUpdate", "/a", 1)[0] == -1, "no parameter is subscribed"
-    monkeypatch.setattr(node.node, "parameter_listeners", {lambda key: not woken.append(key)})
+    monkeypatch.setattr(node.node, "parameter_listeners", {lambda update: not woken.append(update.key)})
     assert node.value("paramUpdate", "/a/", {"b": 1}) == 0
     assert node.value("publisherUpdate", "/a", []) == 0
     assert node.value("publisherUpdate", "/a", ["http://[::1]:4/", "http://b:5/"]) == 0
