@@ -130,6 +130,8 @@ class Ros1Edge(SideEdge):
         if self._node is not None:
             self._node.stop()
         self._state = None
+        if self._master is not None:
+            self._master.release()
 
     def _caller(self) -> str:
         return self._node.name if self._node is not None else "/midspan"

@@ -58,7 +58,7 @@ class Master:
         self.polled_at = float("-inf")
         self._node = node
         self._period, self._seen, self._give_up = period, seen, failed
-        self._name_lost = False
+        self._name_lost = self._left = False
         self._client = XmlRpcClient(uri, _TIMEOUT)
         self._reader = MasterReader(self._client, node.name)
         self._membership = Membership(node, daemon, ledger, self._client, self._reader, simulated=simulated)
@@ -109,12 +109,22 @@ class Master:
         self._stopping.set()
         self._wake.set()
         self._thread.join(_STOP_TIMEOUT)
-        client = XmlRpcClient(self.uri, _STOP_TIMEOUT)
-        with contextlib.closing(client):
+        self._left = self._call_last(self._membership.leave)
+
+    def release(self) -> None:
+        """Remove what the last of Midspan's nodes removes. Call this last: it may wait for other hosts for a second."""
+        if self._left:
+            self._call_last(self._membership.release)
+
+    def _call_last(self, action: Callable[[XmlRpcClient], None]) -> bool:
+        """Run an action with a client for a stopping node; return whether the master responds."""
+        with contextlib.closing(XmlRpcClient(self.uri, _STOP_TIMEOUT)) as client:
             try:
-                self._membership.leave(client)
+                action(client)
             except Ros1Error as err:
                 _log.info("not unregistered, because the master is unreachable: %s", err)
+                return False
+        return True
 
     def _run(self) -> None:
         try:

@@ -83,9 +83,13 @@ class Membership:
         for batch in batches(removal_calls(state, [entry])):
             client.calls(batch)
         self.sim_time.leave(client)
-        (tree,) = client.calls([("getParam", (entry.node, NAMESPACE))])
+
+    def release(self, client: XmlRpcClient) -> None:
+        """Remove what the last node removes; call this after `leave`. May last a second, until other nodes respond."""
+        self.sim_time.release(client)
+        (tree,) = client.calls([("getParam", (self._node.name, NAMESPACE))])
         if is_empty(tree):
-            delete_empty(client, entry.node, [NAMESPACE])
+            delete_empty(client, self._node.name, [NAMESPACE])
         self._ledger.remember(None)
 
     def responds(self, uri: str) -> bool:

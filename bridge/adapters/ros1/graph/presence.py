@@ -22,7 +22,9 @@ import threading
 import time
 import uuid
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import as_completed
 from dataclasses import asdict, dataclass
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -39,6 +41,7 @@ from bridge.adapters.ros1_peers import (
     UnreachableError,
     ask,
 )
+from bridge.concurrency import WorkerPool
 from bridge.routing.edge import Sighting
 from bridge.state_file import keep
 
@@ -100,6 +103,21 @@ def others(state: MasterState, own: NodeEntry) -> list[NodeEntry]:
 def is_alive(caller: str, entry: NodeEntry) -> bool:
     """Return whether an entry's node responds, and is the process that created the entry; see `pid_of`."""
     return pid_of(caller, entry.uri) == entry.pid
+
+
+def any_alive(caller: str, entries: Iterable[NodeEntry], seconds: float) -> bool:
+    """Return whether any of these nodes is alive; those that do not respond within ``seconds`` count as dead.
+
+    All are called at the same time, because their hosts may be off. Raises `ExhaustedError` like `is_alive`.
+    """
+    pool = WorkerPool(_MAX_LINKS, "midspan-ros1-alive")
+    calls = [pool.submit(partial(is_alive, caller, entry)) for entry in entries]
+    try:
+        return any(not call.cancelled() and call.result() for call in as_completed(calls, seconds))
+    except TimeoutError:
+        return False
+    finally:
+        pool.close()
 
 
 def pid_of(caller: str, uri: str) -> int | None:

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
-from bridge.adapters.ros1.graph.presence import NodeEntry, is_alive
+from bridge.adapters.ros1.graph.presence import NodeEntry, any_alive
 from bridge.adapters.ros1.graph.state import PRESENCE
 from bridge.adapters.ros1.node.node import Ros1Node
 from bridge.adapters.ros1.node.slave import ParameterUpdate
@@ -24,6 +24,9 @@ SIM_TIME = "/use_sim_time"
 
 SET_BY = "/midspan/use_sim_time"
 """``{uri, before}``: the XML-RPC address of the node that set `SIM_TIME`, and a list of the value that it replaced."""
+
+_JOIN_SECONDS, _RELEASE_SECONDS = 2.5, 1.0
+"""Seconds for the answers of all other nodes; a worker has few seconds to stop."""
 
 _MAX_UPDATES = 100
 """Maximum number of updates that wait for the next read of the master."""
@@ -58,7 +61,7 @@ class SimTime:
         if self.wanted and not value:
             self._set(value)
             value = True
-        elif predecessor and not self.wanted and not self._needed(others):
+        elif predecessor and not self.wanted and not self._needed(others, _JOIN_SECONDS):
             self._take_back(self._client)
             value, self._set_by = self._read(self._client)
         self.simulated = bool(value)
@@ -101,18 +104,22 @@ class SimTime:
         return any(entry.simulated and entry.uri != self._node.uri for entry in _entries(presence))
 
     def leave(self, client: XmlRpcClient) -> None:
+        """Stop following the parameter."""
+        client.calls([("unsubscribeParam", (self._node.name, self._node.uri, SIM_TIME))])
+
+    def release(self, client: XmlRpcClient) -> None:
         """Take the parameter back unless another node needs it; call this after the removal of the own entry.
 
-        So of two nodes that leave at the same time, one finds no other.
+        So of two nodes that leave at the same time, one finds no other. Waits up to `_RELEASE_SECONDS` for the others.
         """
-        me = self._node.name
-        calls: list[Call] = [("unsubscribeParam", (me, self._node.uri, SIM_TIME)), ("getParam", (me, PRESENCE))]
-        _, presence = client.calls(calls)
-        if self.wanted and not self._needed(_entries(presence)):
+        if not self.wanted:
+            return
+        (presence,) = client.calls([("getParam", (self._node.name, PRESENCE))])
+        if not self._needed(_entries(presence), _RELEASE_SECONDS):
             self._take_back(client)
 
-    def _needed(self, others: Iterable[NodeEntry]) -> bool:
-        return any(entry.simulated and is_alive(self._node.name, entry) for entry in others)
+    def _needed(self, others: Iterable[NodeEntry], seconds: float) -> bool:
+        return any_alive(self._node.name, [entry for entry in others if entry.simulated], seconds)
 
     def _read(self, client: XmlRpcClient) -> list[Any]:
         return client.calls([("getParam", (self._node.name, name)) for name in (SIM_TIME, SET_BY)])

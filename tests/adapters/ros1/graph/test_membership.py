@@ -91,6 +91,7 @@ def test_a_node_that_joins_while_the_last_one_leaves_keeps_its_entry(master: Ros
     membership = Membership(node, "daemon", Ledger(tmp_path), client, reader, simulated=False)
     membership.join(reader.read())
     membership.leave(client)
+    membership.release(client)
     assert master.call("getParam", NAMESPACE) == {"nodes": {"node_other": HOLDER.as_dict()}}
     master.call("deleteParam", NAMESPACE)
     client.close()

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import signal
+import socket
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
+from urllib.parse import urlsplit
 
 import pytest
 
@@ -17,7 +20,7 @@ from bridge.adapters.ros1.graph.sim_time import SET_BY, SIM_TIME, SimTime
 from bridge.adapters.ros1.graph.state import PRESENCE
 from bridge.adapters.ros1.master.embedded import EmbeddedMaster
 from bridge.adapters.ros1.node.slave import ParameterUpdate
-from tests.peers.ros1.adapter import EdgeUnderTest, edge_on
+from tests.peers.ros1.adapter import AT_ONCE, EdgeUnderTest, edge_on
 from tests.peers.ros1.network import RosMaster, needs_ros1
 from tests.support.ports import free_port
 from tests.support.wait import until
@@ -79,6 +82,38 @@ def test_the_last_of_several_nodes_takes_it_back(master: RosMaster, tmp_path: Pa
         assert sim_time(master) is None
 
 
+def test_a_stop_waits_for_other_hosts_only_after_the_node_has_stopped(master: RosMaster, tmp_path: Path) -> None:
+    """A worker has few seconds to stop; other hosts may be off, and each is asked for two seconds."""
+    with contextlib.closing(socket.create_server(("127.0.0.1", 0), backlog=100)) as silent:
+        silent.settimeout(40)
+        port = silent.getsockname()[1]
+        uris = [f"http://127.0.0.1:{port}/{number}" for number in range(5)]
+        entries = [NodeEntry(uri, "silent", f"/{uri[-1]}", uri, 1, 1, simulated=True) for uri in uris]
+        with simulated(master, tmp_path) as edge, ThreadPoolExecutor() as threads:
+            (uri,) = (entry["uri"] for entry in master.call("getParam", PRESENCE).values())
+            for entry in entries:
+                master.call("setParam", entry.parameter, entry.as_dict())
+            leaving = threads.submit(edge.leave)
+            with contextlib.ExitStack() as stack:
+                for _ in entries:
+                    connection = stack.enter_context(silent.accept()[0])
+                    assert connection.recv(4096).startswith(b"POST")
+                assert is_refused(uri), "the node has stopped by now"
+                assert leaving.result() < AT_ONCE
+        assert sim_time(master) is None, "a node that does not respond counts as dead"
+        master.call("deleteParam", PRESENCE)
+
+
+def is_refused(uri: str) -> bool:
+    """Return whether no program listens at the address of a node."""
+    address = urlsplit(uri)
+    try:
+        socket.create_connection((address.hostname, address.port)).close()
+    except ConnectionRefusedError:
+        return True
+    return False
+
+
 class FakeMaster:
     """The parameters of a master without notifications; `calls` is that of an `XmlRpcClient`."""
 
@@ -126,8 +161,8 @@ def test_nodes_that_join_at_the_same_time_do_not_take_each_other_for_programs() 
         assert master.parameters[SIM_TIME] is True
         del master.parameters[PRESENCE][name]
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(sim_time_module, "is_alive", lambda *_: True)
-            node.leave(cast("Any", master))
+            patch.setattr(sim_time_module, "any_alive", lambda _, entries, __: bool(entries))
+            node.release(cast("Any", master))
     assert master.parameters == {PRESENCE: {}}
 
 
