@@ -15,6 +15,9 @@ except ImportError:  # Windows has no such terminals
 else:
     AVAILABLE = True
 
+_MOST = 65536
+"""Bytes of one read: all keys that wait, so that none of them seems to arrive later."""
+
 GONE = "\x04"
 """Ctrl-D, also returned when the terminal has been closed."""
 
@@ -23,7 +26,7 @@ def pressed(terminal: int, seconds: float) -> Iterator[str]:
     """Yield the keys pressed within ``seconds``; an arrow is one key."""
     if not select.select([terminal], [], [], seconds)[0]:
         return
-    text = os.read(terminal, 1024).decode(errors="ignore")
+    text = os.read(terminal, _MOST).decode(errors="ignore")
     if not text:
         yield GONE
     while text:

@@ -9,7 +9,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import NamedTuple
 
 from bridge.cli.arguments import add_hub_arguments
@@ -28,6 +28,9 @@ from bridge.text import clean
 RATE = 20.0
 HOLD_SECONDS = 0.6
 """Seconds for which a key counts as held after it arrives: keyboards repeat a held key only after half a second."""
+
+STALL_SECONDS = 0.5
+"""After a longer pause between two reads of the terminal, keys may have waited in it."""
 
 STEP = 1.1
 MAX_SPEED, MAX_TURN = 2.0, 3.0
@@ -59,7 +62,12 @@ class HeldKeys(NamedTuple):
 
 
 class Keys:
-    """The velocity that the pressed keys request, in m/s and rad/s; ``zeros``: how often zero is to be published."""
+    """The velocity that the pressed keys request, in m/s and rad/s; ``zeros``: how often zero is to be published.
+
+    `press` gets all keys of one read of the terminal, and `tick` follows each period in which it was read. A terminal
+    does not report that a key is released, only that no key arrives. Silence is counted in calls of `tick`, because
+    nothing is read while this process stalls.
+    """
 
     def __init__(self, speed: float, turn: float) -> None:
         self.speed, self.turn = speed, turn
@@ -67,28 +75,50 @@ class Keys:
         self.zeros = 1
         self._wish = HeldKeys()
         self._until = 0.0
-        self._blocked = -math.inf  # until this time, a key counts as held since the last halt or refusal
+        self._ticked_at = math.inf
+        self._left = 0  # calls of `tick` until the key that was held at the last halt or refusal counts as released
+        self._halted = False  # until a key drives again
 
-    def press(self, key: str, now: float) -> None:
-        """Handle a key that arrives at a time in seconds."""
-        if key in KEYS and now <= self._blocked:
-            self._blocked = now + HOLD_SECONDS
-        elif key in KEYS:
-            self._wish, self._until = HeldKeys(*KEYS[key]), now + HOLD_SECONDS
-        elif key in "qz":
-            factor = STEP if key == "q" else 1.0 / STEP
-            self.speed, self.turn = min(self.speed * factor, MAX_SPEED), min(self.turn * factor, MAX_TURN)
-        else:
-            self._wish = HeldKeys()  # any other key stops the base
-            self.ended = key in ("x", "\x03", "\x04")
+    def press(self, keys: Collection[str], now: float) -> None:
+        """Handle the keys of one read, at a time in seconds.
 
-    def halt(self, now: float) -> None:
-        """Stop at a time in seconds; a key that is held must be released before it drives again."""
-        self._wish, self._blocked = HeldKeys(), now + HOLD_SECONDS
+        After a halt, several keys at once are no new press: the terminal was silent because they were delayed.
+        """
+        moves = [key for key in keys if key in KEYS]
+        if moves and (self._left or (self._halted and len(moves) > 1)):
+            self._left = self._release_ticks
+        elif moves and not self._stalled(now):  # otherwise the key may have been released long ago
+            self._wish, self._until, self._halted = HeldKeys(*KEYS[moves[-1]]), now + HOLD_SECONDS, False
+        for key in keys:
+            if key in "qz":
+                factor = STEP if key == "q" else 1.0 / STEP
+                self.speed, self.turn = min(self.speed * factor, MAX_SPEED), min(self.turn * factor, MAX_TURN)
+            elif key not in KEYS:
+                self._wish = HeldKeys()  # any other key stops the base
+                self.ended = self.ended or key in ("x", "\x03", "\x04")
 
-    def blocked(self, now: float) -> bool:
-        """Return whether a key is held that must be released first."""
-        return now <= self._blocked
+    def tick(self, now: float) -> None:
+        """Count a period in which the terminal was read; after a stall, count silence from the beginning."""
+        if self._left:
+            self._left = self._release_ticks if self._stalled(now) else self._left - 1
+        self._ticked_at = now
+
+    def _stalled(self, now: float) -> bool:
+        """Return whether the keys that are read now may have waited for long."""
+        return now > self._ticked_at + STALL_SECONDS
+
+    @property
+    def _release_ticks(self) -> int:
+        return math.ceil(HOLD_SECONDS * RATE) + 1
+
+    def halt(self) -> None:
+        """Stop; a key that is held must be released before it drives again."""
+        self._wish, self._left, self._halted = HeldKeys(), self._release_ticks, True
+
+    @property
+    def blocked(self) -> bool:
+        """Whether a key that may be held must be released first."""
+        return self._left > 0
 
     def velocity(self, now: float) -> tuple[float, float, float]:
         """Return the velocity at a time, m/s and rad/s: zero unless a key is held."""
@@ -159,15 +189,15 @@ class Driver:
         self._who = f"midspan teleop ({socket.gethostname()})"
         self._lock = threading.Lock()  # so that no velocity follows a confirmed halt
 
-    def press(self, key: str) -> None:
-        """Handle a key."""
+    def press(self, keys: Collection[str]) -> None:
+        """Handle the keys of one read of the terminal."""
         with self._lock:
-            self.keys.press(key, steady())
+            self.keys.press(keys, steady())
 
     def halt(self) -> None:
         """Stop until the key is released."""
         with self._lock:
-            self.keys.halt(steady())
+            self.keys.halt()
 
     @property
     def type_name(self) -> str:
@@ -179,15 +209,16 @@ class Driver:
         self._publisher.follow()
         with self._lock:
             now = steady()
+            self.keys.tick(now)
             x, y, turn = velocity = self.keys.velocity(now)
             if rival := self._control.rival():
                 if any(velocity):  # a key that is held must not drive once the other person ends
-                    self.keys.halt(now)
+                    self.keys.halt()
                 if self._control.held:  # both began at the same moment
                     self._publisher.publish()
                 self._control.end()
                 self.keys.zeros = 0  # they would slow the other
-                return f"{clean(rival)}{': not driving' if self.keys.blocked(now) else ''}"
+                return f"{clean(rival)}{': not driving' if self.keys.blocked else ''}"
             if any(velocity):
                 self._control.begin(self._who)
                 self.keys.zeros = round(STOP_SECONDS * RATE)
@@ -197,7 +228,7 @@ class Driver:
                 if self.keys.zeros:  # then silence, so that others can drive
                     self.keys.zeros -= 1
                     self._publisher.publish()
-                if self.keys.blocked(now):
+                if self.keys.blocked:
                     return "stopped: release the key first"
         return f"x {x:+.2f} y {y:+.2f} m/s, turn {turn:+.2f} rad/s"
 
@@ -214,8 +245,7 @@ def _drive(driver: Driver, topic: str, terminal: int, check: Callable[[], None])
     due, keys, shown = time.monotonic(), driver.keys, ""
     while not keys.ended:
         check()
-        for key in pressed(terminal, max(0.0, due - time.monotonic())):
-            driver.press(key)
+        driver.press(list(pressed(terminal, max(0.0, due - time.monotonic()))))
         if time.monotonic() < due:
             continue
         due = max(due + 1.0 / RATE, time.monotonic())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import pty
 import signal
@@ -39,39 +40,111 @@ TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStampe
 )  # fmt: skip
 def test_each_key_sets_its_velocity(key: str, x: float, y: float, turn: float) -> None:
     keys = Keys(0.2, 0.5)
-    keys.press("i", 1.0)
-    keys.press(key, 1.1)
+    keys.press(["i"], 1.0)
+    keys.press([key], 1.1)
     assert keys.velocity(1.2) == (x, y, turn)
 
 
 def test_released_key_stops_the_robot() -> None:
     keys = Keys(0.2, 0.5)
-    keys.press("i", 1.0)
+    keys.press(["i"], 1.0)
     assert keys.velocity(1.0 + HOLD_SECONDS)[0] == 0.2
     assert keys.velocity(1.01 + HOLD_SECONDS)[0] == 0.0
 
 
 def test_keys_change_the_speed_within_bounds() -> None:
     keys = Keys(0.2, 0.5)
-    keys.press("q", 1.0)
+    keys.press(["q"], 1.0)
     assert (keys.speed, keys.turn) == pytest.approx((0.22, 0.55))
     for _ in range(100):
-        keys.press("q", 1.0)
+        keys.press(["q"], 1.0)
     assert (keys.speed, keys.turn) == (2.0, 3.0)
-    keys.press("z", 1.0)
+    keys.press(["z"], 1.0)
     assert keys.speed < 2.0
 
 
+class Terminal:
+    """Keys that arrive at a simulated time, read as `teleop` reads them."""
+
+    def __init__(self) -> None:
+        self.keys, self.now = Keys(0.2, 0.5), 100.0
+
+    def read(self, *keys: str) -> float:
+        """Read the keys of the next period; return the velocity forward."""
+        self.now += 1.0 / teleop.RATE
+        self.keys.press(keys, self.now)
+        self.keys.tick(self.now)
+        return self.keys.velocity(self.now)[0]
+
+    def stay_silent(self, seconds: float) -> list[float]:
+        """Read nothing for this time; return the velocities."""
+        return [self.read() for _ in range(math.ceil(seconds * teleop.RATE))]
+
+    def halt(self) -> None:
+        """Halt while a key is held."""
+        assert self.read("i") == 0.2
+        self.keys.halt()
+
+
 def test_a_key_must_be_released_after_a_halt() -> None:
-    keys = Keys(0.2, 0.5)
-    keys.press("i", 1.0)
-    keys.halt(1.1)
-    assert keys.velocity(1.1) == (0.0, 0.0, 0.0)
-    for now in (1.2, 1.2 + HOLD_SECONDS, 1.2 + 2 * HOLD_SECONDS):  # a keyboard repeats a held key
-        keys.press("i", now)
-        assert keys.velocity(now) == (0.0, 0.0, 0.0)
-    keys.press("i", 1.3 + 3 * HOLD_SECONDS)
-    assert keys.velocity(1.3 + 3 * HOLD_SECONDS)[0] == 0.2
+    terminal = Terminal()
+    terminal.halt()
+    for _ in range(3):  # a keyboard repeats a held key
+        assert terminal.read("i") == 0.0
+        assert set(terminal.stay_silent(HOLD_SECONDS - 0.05)) == {0.0}
+    assert terminal.read("i") == 0.0
+    terminal.stay_silent(HOLD_SECONDS + 0.1)
+    assert not terminal.keys.blocked
+    assert terminal.read("i") == 0.2
+
+
+@pytest.mark.parametrize("silent", [0.0, 0.5 * HOLD_SECONDS, HOLD_SECONDS])
+def test_a_stall_after_a_halt_does_not_count_as_a_release(silent: float) -> None:
+    """The keys that arrived meanwhile are read only afterwards."""
+    terminal = Terminal()
+    terminal.halt()
+    terminal.stay_silent(silent)
+    terminal.now += 5.0
+    assert [terminal.read("i") for _ in range(20)] == [0.0] * 20
+    terminal.stay_silent(HOLD_SECONDS + 0.1)
+    assert terminal.read("i") == 0.2
+
+
+def test_a_stall_just_before_the_keys_of_that_time_are_read_is_no_release() -> None:
+    terminal = Terminal()
+    terminal.halt()
+    terminal.now += 5.0
+    assert terminal.read() == 0.0
+    assert [terminal.read("i") for _ in range(20)] == [0.0] * 20
+
+
+def test_keys_that_a_network_delayed_after_a_halt_are_no_new_press() -> None:
+    """A terminal over a network may be silent for a moment although a key is held; then all of its keys arrive."""
+    terminal = Terminal()
+    terminal.halt()
+    terminal.stay_silent(3.0)
+    assert terminal.read(*"iiiiii") == 0.0
+    assert terminal.read("i") == 0.0
+    terminal.stay_silent(HOLD_SECONDS + 0.1)
+    assert terminal.read("i") == 0.2
+    assert terminal.read("i", "i") == 0.2, "later keys may arrive together"
+
+
+def test_keys_of_a_stall_do_not_drive() -> None:
+    """The key may have been released long ago; a key that is still held repeats itself."""
+    terminal = Terminal()
+    assert terminal.read("i") == 0.2
+    terminal.now += 5.0
+    assert terminal.read(*"iiiiii") == 0.0
+    assert terminal.read("i") == 0.2
+
+
+def test_a_stop_key_has_an_effect_after_a_stall() -> None:
+    terminal = Terminal()
+    assert terminal.read("i") == 0.2
+    terminal.now += 5.0
+    terminal.read("i", "x", "i")
+    assert terminal.keys.ended
 
 
 class Base:
@@ -199,6 +272,35 @@ def test_a_halt_on_the_hub_ends_driving(
         begin = len(base.sent)
         assert MANUAL_DRIVING_HALTED in [answer.value for answer in hub.ask("halt", {}, timeout=20.0)]
         until(lambda: (driver.press(b"i"), (0.0, 0.0) in base.sent[begin:])[1], "the base stands with the key held")
+
+
+def test_a_key_that_is_held_during_a_stall_after_a_halt_does_not_drive(
+    driver: Driver, network: HubNetwork, registry: Registry, closing: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The terminal is so slow that the program waits in its output."""
+    base, publish = Base(network, registry, TWIST), teleop.Driver.publish
+    closing.append(base)
+    shown: list[str] = []
+    resumed = threading.Event()
+    resumed.set()
+
+    def publish_slowly(this: teleop.Driver) -> str:
+        shown.append(publish(this))
+        resumed.wait(40)
+        return shown[-1]
+
+    monkeypatch.setattr(teleop.Driver, "publish", publish_slowly)
+    with Hub.open(network.settings("halting")) as hub, driver.drive():
+        until(lambda: (driver.press(b"i"), (0.2, 0.0) in base.sent)[1], "the base drives")
+        resumed.clear()
+        hub.ask("halt", {}, timeout=20.0)
+        stall = time.monotonic() + 2 * HOLD_SECONDS
+        until(lambda: (driver.press(b"i"), time.monotonic() > stall)[1], "the program stalls while the key is held")
+        begin, shows = len(base.sent), len(shown)
+        resumed.set()
+        until(lambda: (driver.press(b"i"), len(shown) > shows + 20)[1], "the program continues", every=0.05)
+        until(lambda: (0.0, 0.0) in base.sent[begin:], "the base stands")
+        assert (0.2, 0.0) not in base.sent[begin:]
 
 
 def test_teleop_publishes_the_chosen_form(
