@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import logging
 import math
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 from bridge.client.manual import ManualControl
@@ -31,6 +31,7 @@ _REFUSALS = {
     SenderState.STOPPED: f"the robot was stopped; {_PAUSE}",
     SenderState.ENDED: "the gateway is shutting down",
 }
+_HAS_TO_PAUSE = (SenderState.DISPLACED, SenderState.STOPPED)
 _PLANNER_DRIVES = "the planner drives; stop or suspend it first"
 
 _LOG_SECONDS = 5.0  # a refusal is logged again if the one before it was earlier
@@ -49,19 +50,53 @@ class YarpVelocity(NamedTuple):
 ZERO = YarpVelocity()
 
 
+class _PauseFile:
+    """The file that contains the state of `VelocitySender` while YARP clients have to pause.
+
+    Without it, a client that was stopped would drive by itself after a restart of the gateway. It is written in the
+    background, because a slow disk must not delay a stop.
+    """
+
+    def __init__(self, host: Host) -> None:
+        self._file, self._submit = host.folder / "pause", host.background.submit
+        self._state = SenderState.SILENT
+
+    def read(self) -> SenderState:
+        """Return the state at the end of the last gateway; STOPPED if the file is unreadable."""
+        try:
+            state = SenderState(self._file.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            return SenderState.SILENT
+        except (OSError, ValueError):
+            return SenderState.STOPPED
+        return state if state is SenderState.DISPLACED else SenderState.STOPPED
+
+    def write(self, state: SenderState) -> None:
+        """Store a state in which clients have to pause, or that they have paused."""
+        self._state = state
+        self._submit(lambda: partial(self._store, self._state), lambda _: None)
+
+    def _store(self, state: SenderState) -> None:
+        if state is SenderState.SILENT:
+            self._file.unlink(missing_ok=True)
+        else:
+            self._file.write_text(state.value, encoding="utf-8")
+
+
 class VelocitySender:
     """The YARP clients that command velocities: whether they may drive, or have to pause first.
 
-    A client that was stopped or refused repeats its velocity, and must not drive by itself later. It has paused if no
-    velocity but zero has arrived for the time-out of its last one, and at least `_PAUSE_SECONDS`. Silence is counted in
-    calls of `tick`, because nothing is read while this process stands still.
+    A client that was stopped or refused repeats its velocity, and must not drive by itself later, nor after a restart
+    of the gateway. It has paused if no velocity but zero has arrived for the time-out of its last one, and at least
+    `_PAUSE_SECONDS`. Silence is counted in calls of `tick`, because nothing is read while this process stands still.
     """
 
-    def __init__(self, log: logging.Logger) -> None:
-        self._log = log
-        self._machine = Machine(SENDER, SenderState.SILENT)
-        self._pause = self._left = 0  # the calls of `tick` until the client has paused, from its last velocity, and now
-        self._ticked_at = 0.0  # monotonic seconds
+    def __init__(self, host: Host) -> None:
+        self._log, self._file = host.log, _PauseFile(host)
+        self._machine = Machine(SENDER, self._file.read())
+        # the calls of `tick` until the client has paused, from its last velocity, and now
+        self._pause = self._left = _ticks(LONGEST_SECONDS)  # the time-out of a velocity before the start is unknown
+        self._ticked_at = time.monotonic()
         self._refused, self._refused_at = "", -math.inf  # the reason for the last refusal, and its time
 
     @property
@@ -72,9 +107,9 @@ class VelocitySender:
     def on_velocity(self, velocity: YarpVelocity, seconds: float) -> None:
         """Note that a velocity for this time has arrived; zero counts as a pause."""
         if any(velocity):
-            self._pause = self._left = math.ceil(max(_limited(seconds), _PAUSE_SECONDS) / _PERIOD) + 1
+            self._pause = self._left = _ticks(max(_limited(seconds), _PAUSE_SECONDS))
             self._ticked_at = time.monotonic()
-            self._machine.on(SenderEvent.VELOCITY)
+            self._on(SenderEvent.VELOCITY)
 
     def check(self, velocity: YarpVelocity, other: str) -> None:
         """Raise `RequestError` if a velocity is refused; ``other``: who else drives, "" for nobody."""
@@ -100,15 +135,15 @@ class VelocitySender:
 
     def displace(self) -> None:
         """Require a pause if velocities arrive, because the planner or a person drives."""
-        self._machine.on(SenderEvent.DISPLACE)
+        self._on(SenderEvent.DISPLACE)
 
     def stop(self) -> None:
         """Require a pause if velocities arrive."""
-        self._machine.on(SenderEvent.STOP)
+        self._on(SenderEvent.STOP)
 
     def end(self) -> None:
         """Refuse all further velocities."""
-        self._machine.on(SenderEvent.END)
+        self._on(SenderEvent.END)
 
     def tick(self) -> None:
         """Count a period without a velocity; after a stall count from the beginning, because messages are unread."""
@@ -116,7 +151,14 @@ class VelocitySender:
         self._left = self._pause if now > self._ticked_at + STALL_SECONDS else self._left - 1
         self._ticked_at = now
         if self._left <= 0:
-            self._machine.on(SenderEvent.PAUSE)
+            self._on(SenderEvent.PAUSE)
+
+    def _on(self, event: SenderEvent) -> None:
+        had_to_pause = self._machine.state in _HAS_TO_PAUSE
+        if self._machine.on(event) and event is not SenderEvent.END:  # the next gateway needs the state before the end
+            state = self._machine.state
+            if had_to_pause or state in _HAS_TO_PAUSE:
+                self._file.write(state)
 
 
 class _Output:
@@ -153,11 +195,13 @@ class VelocityCommander:
         self._host, self._busy = host, busy
         self._output = _Output(velocity_publisher(host, topic))
         self._control = ManualControl(host.node.hub, topic)
-        self._sender = VelocitySender(host.log)
+        self._sender = VelocitySender(host)
         self._machine = Machine(VELOCITY, VelocityState.SILENT)
         self._command = _Command(ZERO, 0.0)
         self._timer: Timer | None = None  # while velocities are published or arrive
         self._ended: Callable[[], None] | None = None
+        if not self._sender.silent:
+            self._start_timer()
 
     @property
     def last(self) -> YarpVelocity | None:
@@ -254,6 +298,11 @@ class VelocityCommander:
         ended, self._ended = self._ended, None
         if ended is not None:
             ended()
+
+
+def _ticks(seconds: float) -> int:
+    """Return after how many calls of `VelocitySender.tick` this time has surely passed."""
+    return math.ceil(seconds / _PERIOD) + 1
 
 
 def _limited(seconds: float) -> float:

@@ -6,6 +6,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 from unittest.mock import MagicMock, call
@@ -93,14 +94,17 @@ def test_a_move_that_has_started_is_waited_for() -> None:
 
 
 def test_a_velocity_whose_client_timed_out_is_not_published(
-    held: tuple[EventLoop, threading.Event], monkeypatch: pytest.MonkeyPatch
+    held: tuple[EventLoop, threading.Event], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     loop, resume = held
     out = MagicMock()
     graph = SimpleNamespace(subscriptions=lambda _topic: [], velocities=list, drivers=lambda _topic: {})
     hub = SimpleNamespace(graph=graph, zid="1", announce_driver=MagicMock())
     node = SimpleNamespace(publisher=lambda *_args, **_options: out, hub=hub)
-    host: Any = SimpleNamespace(name="gateway", loop=loop, log=MagicMock(), node=node, config=Config(), clock=SYSTEM)
+    host: Any = SimpleNamespace(
+        name="gateway", loop=loop, log=MagicMock(), node=node, config=Config(), clock=SYSTEM, folder=tmp_path,
+        background=MagicMock(),
+    )  # fmt: skip
     commander = VelocityCommander(host, "/cmd_vel", lambda: False)
     device = gateway.GatewayDevice(host, MagicMock(has_base=False), MagicMock(), commander, MagicMock())
     refused(lambda: device.applyVelocityCommand(0.3, 0.0, 0.0, 1.0))

@@ -19,7 +19,9 @@ from bridge.modules.action_server import Goal
 from bridge.modules.host import Host
 from navigation.gateway import execution, goal_list, stop
 from navigation.gateway import gateway as gateway_module
+from navigation.gateway.choice import RequestError
 from navigation.gateway.module import GatewayModule
+from navigation.gateway.velocities import YarpVelocity
 from navigation.status import Fault, State
 from tests.peers.hub.node import REGISTRY
 from tests.peers.navigation.gateway import LATCHED, ClientGoal, Planner, Rig, pose
@@ -324,6 +326,33 @@ def test_a_stop_right_after_a_start_waits_for_the_planners_goal_list(
     restart(rig)
     until(lambda: answers, "the stop is answered", 20)
     assert answers == [""], "nothing drives, so the stop is confirmed"
+
+
+def test_a_restart_of_the_gateway_does_not_let_a_stopped_yarp_client_drive(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drive = YarpVelocity(0.1)
+    with ServiceClient(INavigation2DMsgs, "/navigationServer/rpc", naming=rig.names, timeout=20) as client:
+        assert client.remote.apply_velocity_command_RPC(*drive, 0.2)
+        loop, halt = rig.module._host.loop, rig.module._commander.stop_client
+        loop.call(lambda: (rig.module._commander.note(drive, 1.0), halt()))
+    refusals: list[str] = []
+
+    def starting(module: GatewayModule, host: Host, section: Section) -> None:
+        """Start the gateway and command a velocity before the client could have paused."""
+        start(module, host, section)
+        try:
+            module._commander.command(drive, 0.2)
+        except RequestError as err:
+            refusals.append(str(err))
+
+    start = GatewayModule.start
+    monkeypatch.setattr(GatewayModule, "start", starting)
+    restart(rig)
+    until(lambda: refusals, "the velocity is refused", 20)
+    assert "the robot was stopped; first send no velocity" in refusals[0]
+    monkeypatch.setattr(GatewayModule, "start", start)
+    until(lambda: rig.gateway.link.reachable, "the planner is reachable", 20)
 
 
 def restart(rig: Rig) -> None:

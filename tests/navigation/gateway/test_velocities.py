@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Callable
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 
 from bridge.client.velocity import STOP_SECONDS
 from bridge.hub.errors import HubClosedError
+from bridge.modules.background import Background
 from navigation.gateway import velocities
 from navigation.gateway.choice import RequestError
 from navigation.gateway.stop import OVERRIDE_SECONDS
@@ -25,7 +27,8 @@ ZEROS = round(STOP_SECONDS / velocities._PERIOD)
 class Base:
     """A commander on a simulated clock, and the velocities that it publishes."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+        self._monkeypatch, self._folder = monkeypatch, folder
         self.clock, self.received, self.busy = Clock(), list[float](), False
         self.loop = Loop(self.clock)
         self.fails = False  # whether publishing fails
@@ -36,9 +39,11 @@ class Base:
         self.announced: str | None = None
         graph = SimpleNamespace(drivers=lambda _topic: self.drivers)
         hub = SimpleNamespace(graph=graph, zid="5", announce_driver=self._announce)
+        background = Background(self.loop, "gateway", inline=True)  # type: ignore[arg-type]
         host: Any = SimpleNamespace(
-            loop=self.loop, name="gateway", node=SimpleNamespace(hub=hub), log=logging.getLogger("gateway")
-        )
+            loop=self.loop, name="gateway", node=SimpleNamespace(hub=hub), log=logging.getLogger("gateway"),
+            folder=folder, background=background,
+        )  # fmt: skip
         self.commander = VelocityCommander(host, "/cmd_vel", lambda: self.busy)
 
     def _publish(self, x: float, _y: float, _turn: float) -> None:
@@ -50,6 +55,12 @@ class Base:
         self.announced = who
         return lambda: setattr(self, "announced", None)
 
+    def restarted(self, *, ended: bool) -> Base:
+        """Return the gateway's next run; this one ends in order, or crashes."""
+        if ended:
+            self.commander.end(lambda: None)
+        return Base(self._monkeypatch, self._folder)
+
     def after(self, seconds: float) -> list[float]:
         """Return the velocities of the next seconds."""
         begin = len(self.received)
@@ -58,8 +69,8 @@ class Base:
 
 
 @pytest.fixture
-def base(monkeypatch: pytest.MonkeyPatch) -> Base:
-    return Base(monkeypatch)
+def base(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Base:
+    return Base(monkeypatch, tmp_path)
 
 
 @pytest.mark.parametrize("stopped", [False, True], ids=["it expires", "it is stopped"])
@@ -377,3 +388,57 @@ def test_nothing_runs_while_no_client_drives(base: Base) -> None:
         base.commander.command(DRIVE, 0.2, planner_drives=True)
     base.after(5.0)
     assert not base.clock.pending
+
+
+@pytest.mark.parametrize("ended", [True, False], ids=["it ends", "it crashes"])
+@pytest.mark.parametrize("reason", ["the robot was stopped", "the planner or a person drove"])
+def test_a_restart_does_not_end_the_need_to_pause(base: Base, reason: str, ended: bool) -> None:
+    """The client repeats its velocity all the time, and its operator does not expect the robot to start."""
+    base.commander.command(DRIVE, 0.2)
+    base.commander.stop_client() if "stopped" in reason else base.commander.displace()
+    for _ in range(2):
+        base = base.restarted(ended=ended)
+        for _ in range(30):
+            with pytest.raises(RequestError, match=f"{reason}; first send no velocity"):
+                base.commander.command(DRIVE, 0.2)
+            base.after(0.1)
+    assert base.received == []
+    base.after(0.4)
+    base.commander.command(DRIVE, 0.2)
+    assert base.received == [0.3]
+
+
+@pytest.mark.parametrize("ended", [True, False], ids=["it ends", "it crashes"])
+@pytest.mark.parametrize("paused", [True, False])
+def test_a_client_that_may_drive_needs_no_pause_after_a_restart(base: Base, paused: bool, ended: bool) -> None:
+    base.commander.command(DRIVE, 0.2)
+    if paused:
+        base.commander.stop_client()
+        base.after(1.0)
+        base.commander.command(DRIVE, 0.2)
+    base = base.restarted(ended=ended)
+    base.commander.command(DRIVE, 0.2)
+    assert base.received == [0.3]
+
+
+def test_after_a_restart_a_client_is_silent_for_the_longest_time_out(base: Base) -> None:
+    """The time-out of its last velocity is unknown, and its next one may be about to arrive."""
+    base.commander.command(DRIVE, 1.0)
+    base.commander.stop_client()
+    base = base.restarted(ended=False)
+    base.after(0.9)
+    with pytest.raises(RequestError, match="the robot was stopped"):
+        base.commander.command(DRIVE, 1.0)
+    base = base.restarted(ended=False)
+    base.after(1.1)
+    base.commander.command(DRIVE, 1.0)
+    assert base.received == [0.3]
+    base.after(5.0)
+    assert not base.clock.pending
+
+
+def test_an_unreadable_file_requires_a_pause(base: Base, tmp_path: Path) -> None:
+    (tmp_path / "pause").write_text("", encoding="utf-8")  # the gateway crashed while it was writing
+    base = base.restarted(ended=True)
+    with pytest.raises(RequestError, match="the robot was stopped"):
+        base.commander.command(DRIVE, 0.2)
