@@ -5,23 +5,27 @@ from __future__ import annotations
 import contextlib
 import signal
 import socket
-from collections.abc import Callable, Iterator, Sequence
+import threading
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, cast
 from urllib.parse import urlsplit
 
 import pytest
 
-from bridge.adapters.ros1.graph import sim_time as sim_time_module
+from bridge.adapters.ros1.edge import Ros1Edge
 from bridge.adapters.ros1.graph.presence import NodeEntry
 from bridge.adapters.ros1.graph.sim_time import SET_BY, SIM_TIME, SimTime
-from bridge.adapters.ros1.graph.state import PRESENCE
+from bridge.adapters.ros1.graph.state import NAMESPACE, PRESENCE
 from bridge.adapters.ros1.master.embedded import EmbeddedMaster
-from bridge.adapters.ros1.node.slave import ParameterUpdate
+from bridge.config.model import Config
+from bridge.config.sections.clock import ClockSection
+from bridge.config.sections.ros import Ros1Section
+from tests.peers.listener import Listener
 from tests.peers.ros1.adapter import AT_ONCE, EdgeUnderTest, edge_on
 from tests.peers.ros1.network import RosMaster, needs_ros1
+from tests.peers.ros1.parameters import REGISTRY
 from tests.support.ports import free_port
 from tests.support.wait import until
 
@@ -114,56 +118,45 @@ def is_refused(uri: str) -> bool:
     return False
 
 
-class FakeMaster:
-    """The parameters of a master without notifications; `calls` is that of an `XmlRpcClient`."""
+@pytest.mark.parametrize("before", [None, False])
+def test_nodes_that_join_and_leave_at_the_same_time(
+    master: RosMaster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, before: Any
+) -> None:
+    """Both read that the parameter is not set before either sets it; each is then notified of the other's value."""
+    if before is not None:
+        master.call("setParam", SIM_TIME, before)
+    monkeypatch.setenv("ROS_IP", "127.0.0.1")
+    at_once, followed = threading.Barrier(2, timeout=40), set[SimTime]()
+    set_value, follow, release = SimTime._set, SimTime._follow, SimTime.release
 
-    def __init__(self) -> None:
-        self.parameters: dict[str, Any] = {PRESENCE: {}}
-        self.before_set: Callable[[], object] = lambda: None
+    def set_together(node: SimTime, value: Any) -> None:
+        at_once.wait()
+        set_value(node, value)
 
-    def calls(self, calls: Sequence[tuple[str, tuple[Any, ...]]]) -> list[Any]:
-        return [getattr(self, method)(*arguments[1:]) for method, arguments in calls]
+    def recorded_follow(node: SimTime, *args: Any) -> None:
+        follow(node, *args)
+        followed.add(node)
 
-    def getParam(self, name: str) -> Any:  # noqa: N802 - the master's name
-        return self.parameters.get(name)
+    def release_together(node: SimTime, client: Any) -> None:
+        at_once.wait()
+        release(node, client)
 
-    def setParam(self, name: str, value: Any) -> None:  # noqa: N802
-        between, self.before_set = self.before_set, lambda: None
-        between()
-        self.parameters[name] = value
-
-    def deleteParam(self, name: str) -> None:  # noqa: N802
-        self.parameters.pop(name, None)
-
-    def subscribeParam(self, *_: str) -> None:  # noqa: N802
-        pass
-
-    unsubscribeParam = subscribeParam  # noqa: N815
-
-    def node(self, name: str) -> SimTime:
-        """Return the parameter for a node that runs on `/clock`."""
-        uri = f"http://{name}:1/"
-        self.parameters[PRESENCE][name] = NodeEntry(name, name, f"/{name}", uri, 1, simulated=True).as_dict()
-        node: Any = SimpleNamespace(name=f"/{name}", uri=uri)
-        client: Any = self
-        return SimTime(node, client, wanted=True)
-
-
-def test_nodes_that_join_at_the_same_time_do_not_take_each_other_for_programs() -> None:
-    master = FakeMaster()
-    one, two = master.node("one"), master.node("two")
-    master.before_set = lambda: one.join([], predecessor=False)  # after the other one has read that it is not set
-    two.join([], predecessor=False)
-    for node in (one, two):
-        node.on_parameter(ParameterUpdate(SIM_TIME))
-        node.refresh()
-    for node, name in ((one, "one"), (two, "two")):
-        assert master.parameters[SIM_TIME] is True
-        del master.parameters[PRESENCE][name]
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(sim_time_module, "any_alive", lambda _, entries, __: bool(entries))
-            node.release(cast("Any", master))
-    assert master.parameters == {PRESENCE: {}}
+    monkeypatch.setattr(SimTime, "_set", set_together)
+    monkeypatch.setattr(SimTime, "_follow", recorded_follow)
+    monkeypatch.setattr(SimTime, "release", release_together)
+    edges = []
+    for name in ("one", "two"):
+        config = Config(name=name, clock=ClockSection(source="sim"), ros1=Ros1Section(master=master.uri, poll=0.1))
+        edges.append(Ros1Edge(config, REGISTRY, tmp_path / name))
+    for edge in edges:
+        edge.start(Listener())
+    until(lambda: len(followed) == 2, "each node has handled the other's value")
+    assert sim_time(master) is True
+    assert master.call("getParam", SET_BY)["before"] == ([] if before is None else [before])
+    with ThreadPoolExecutor(2) as threads:
+        list(threads.map(Ros1Edge.stop, edges))
+    assert sim_time(master) is before
+    assert master.call("getParam", NAMESPACE) is None
 
 
 def test_a_node_that_joins_while_another_one_takes_it_back_sets_it_again(master: RosMaster, tmp_path: Path) -> None:
