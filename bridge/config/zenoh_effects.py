@@ -64,7 +64,8 @@ def unusable(tree: Tree, section: KeyPath, config: Config) -> Iterator[Flaw]:
     protocols, listens = _found(tree, _PROTOCOLS), config.hub.listen.partition("/")[0]
     if protocols and listens not in protocols:
         yield _PROTOCOLS, f"must contain {listens!r}, the protocol of 'hub.listen'"
-    if (config.hub.zenoh or {}).get("mode", "peer") == "peer" and not _found(config.hub.zenoh, _MULTICAST):
+    workers = config.hub.zenoh if isinstance(config.hub.zenoh, dict) else {}
+    if workers.get("mode", "peer") == "peer" and not _found(workers, _MULTICAST):
         yield from _unknown_peers(tree, section, config)
     if section == WORKERS and tree.get("mode", "peer") == "peer" and _of_mode(_found(tree, _PEERS), "peer") == []:
         yield _PEERS, "workers would not connect to each other; leave it out"

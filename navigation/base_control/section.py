@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator, Field, field_validator
 from typing_extensions import override
@@ -13,13 +13,13 @@ from bridge.config.sections.section import (
     PORT,
     YARP_PORT,
     Mistake,
-    ModuleSection,
     Section,
     TopicName,
     differ,
     setting,
     subsection,
 )
+from navigation.file_section import FileSection
 
 DEGREES = "degrees per second"
 
@@ -74,8 +74,10 @@ class JoySection(Section):
     enable_button: int | None = setting(4, "The button to hold while driving; empty: none.", ge=0, le=63)
 
 
-class BaseControlSection(ModuleSection):
+class BaseControlSection(FileSection):
     """The driver of a mobile base. Default measures and limits are those of R1."""
+
+    reader: ClassVar[str] = "navigation.base_control.settings:read_file"
 
     ini: Path | None = setting(None, "A `baseCtrl` file of an existing robot; keys set here override it.")
     kind: Literal["cer", "ikart_V1"] = setting(
@@ -144,16 +146,7 @@ class BaseControlSection(ModuleSection):
         return value
 
     @override
-    def mistakes(self, config: Any) -> Iterable[Mistake]:
-        if self.ini is None:
-            return self.misfits()
-        from navigation.base_control.settings import read_file
-        from navigation.ini import mistakes_with_file
-
-        return mistakes_with_file(self, self.ini, read_file, BaseControlSection.misfits)
-
     def misfits(self) -> Iterator[Mistake]:
-        """Yield the keys that do not fit the others."""
         count, wheels = len(self.joints), WHEELS[self.kind]
         if count not in (0, wheels):
             yield ("joints",), f"names {count}, but a base of the kind {self.kind} has {wheels} wheels"

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, ClassVar, Literal
 
 from typing_extensions import override
 
@@ -12,11 +12,11 @@ from bridge.config.sections.section import (
     PORT_OR_NONE,
     FrameName,
     Mistake,
-    ModuleSection,
     OptionalTopic,
     matching,
     setting,
 )
+from navigation.file_section import FileSection
 
 MOST_CELLS = 1 << 26
 """Maps with more cells can be neither published nor stored (`yarp_compat.dev.mapflag.MAX_CELLS`)."""
@@ -24,8 +24,10 @@ MOST_CELLS = 1 << 26
 _Prefix = Annotated[str, matching(r"(?:/[A-Za-z0-9_.-]+)+", "is not a prefix of port names: write it as /mapper2D")]
 
 
-class Mapper2DSection(ModuleSection):
+class Mapper2DSection(FileSection):
     """The mapper, which builds a 2D map from laser scans."""
+
+    reader: ClassVar[str] = "navigation.mapper2d.settings:read_file"
 
     ini: Path | None = setting(None, "A `mapper2D` file of an existing robot; keys set here override it.")
     mapping: bool = setting(True, "Whether mapping starts with the module, or only upon the command `start`.")
@@ -83,16 +85,7 @@ class Mapper2DSection(ModuleSection):
     prefix: _Prefix = setting("/mapper2D", "Prefix of the module's YARP ports.")
 
     @override
-    def mistakes(self, config: Any) -> Iterable[Mistake]:
-        if self.ini is None:
-            return self.misfits()
-        from navigation.ini import mistakes_with_file
-        from navigation.mapper2d.settings import read_file
-
-        return mistakes_with_file(self, self.ini, read_file, Mapper2DSection.misfits)
-
     def misfits(self) -> Iterator[Mistake]:
-        """Yield the keys that do not fit the others."""
         cells = self.width / self.resolution * self.height / self.resolution
         if cells > MOST_CELLS:
             text = (

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, Literal
-
-from typing_extensions import override
+from typing import ClassVar, Literal
 
 from bridge.config.sections.obstacles import ObstacleSection
 from bridge.config.sections.section import (
@@ -14,14 +11,13 @@ from bridge.config.sections.section import (
     PORT_OR_NONE,
     FrameName,
     MapSource,
-    Mistake,
-    ModuleSection,
     OptionalTopic,
     Section,
     TopicName,
     setting,
     subsection,
 )
+from navigation.file_section import FileSection
 
 _DEGREES = "degrees per second"
 
@@ -34,8 +30,10 @@ class LaserPose(Section):
     theta: float = setting(0.0, "Degrees (`laser_pos_theta`).", ge=-360.0, le=360.0)
 
 
-class RobotGotoSection(ModuleSection):
+class RobotGotoSection(FileSection):
     """The local navigator. Default limits are those of R1."""
+
+    reader: ClassVar[str] = "navigation.robot_goto.settings:read_file"
 
     ini: Path | None = setting(None, "A `robotGoto` file of an existing robot; keys set here override it.")
     frame: FrameName = setting("map", "The map's frame.")
@@ -121,12 +119,3 @@ class RobotGotoSection(ModuleSection):
     memory: float = setting(20.0, "Seconds for which the laser's observation of a cell is valid.", ge=1.0, le=600.0)
     deadlock_time: float = setting(20.0, "Seconds without progress that count as a deadlock.", ge=1.0, le=3600.0)
     on_deadlock: Literal["abort", "pause"] = setting("abort", "In a deadlock: abort the goal, or wait until resumed.")
-
-    @override
-    def mistakes(self, config: Any) -> Iterable[Mistake]:
-        if self.ini is None:
-            return ()
-        from navigation.ini import mistakes_with_file
-        from navigation.robot_goto.settings import read_file
-
-        return mistakes_with_file(self, self.ini, read_file)

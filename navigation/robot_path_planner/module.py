@@ -34,7 +34,7 @@ from navigation.robot_path_planner.navigators import ActionNavigator, YarpNaviga
 from navigation.robot_path_planner.planner import PathPlanner
 from navigation.robot_path_planner.ports import PathPlannerDevice, PathPlannerTopics, PlannerServer, goal_of_click, png
 from navigation.robot_path_planner.section import YARP, RobotPathPlannerSection
-from navigation.robot_path_planner.settings import MERGED, read_file
+from navigation.robot_path_planner.settings import read_file
 from navigation.scan import SCAN, ScanError, is_blind, of_ros
 from navigation.status import Fault, PlanError, PlannerStatus, State
 from navigation.yarp import Calls
@@ -93,7 +93,7 @@ class RobotPathPlanner(PlannerModule):
     @override
     def start(self, host: Host, section: Section) -> None:
         assert isinstance(section, RobotPathPlannerSection)
-        self._section, self._notes = laid_under(section, section.ini, read_file, merged=MERGED)
+        self._section, self._notes = laid_under(section, section.ini, read_file, merged=section.merged)
         section = self._section
         for note in self._notes:
             host.log.warning("%s", note)

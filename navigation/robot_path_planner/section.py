@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, ClassVar
 
 from typing_extensions import override
 
@@ -16,7 +16,6 @@ from bridge.config.sections.section import (
     FrameName,
     MapSource,
     Mistake,
-    ModuleSection,
     OptionalPort,
     OptionalTopic,
     Section,
@@ -24,6 +23,7 @@ from bridge.config.sections.section import (
     setting,
     subsection,
 )
+from navigation.file_section import FileSection
 
 YARP = "yarp:"  # begins the name of a local navigator on YARP
 _Navigator = Annotated[
@@ -66,8 +66,11 @@ class GoalSection(DrivenSection):
     tolerance_ang: float | None = setting(2.0, "Degrees.", gt=0.0, le=180.0)
 
 
-class RobotPathPlannerSection(ModuleSection):
+class RobotPathPlannerSection(FileSection):
     """The path planner, which sends waypoints to the local navigator."""
+
+    reader: ClassVar[str] = "navigation.robot_path_planner.settings:read_file"
+    merged: ClassVar[tuple[str, ...]] = ("waypoint", "goal")
 
     ini: Path | None = setting(None, "A `robotPathPlanner` file of an existing robot; keys set here override it.")
     map: MapSource | None = setting(
@@ -119,16 +122,7 @@ class RobotPathPlannerSection(ModuleSection):
     prefix: OptionalPort = setting("/robotPathPlanner", 'Prefix of the YARP ports; "": none.')
 
     @override
-    def mistakes(self, config: Any) -> Iterable[Mistake]:
-        if self.ini is None:
-            return self.misfits()
-        from navigation.ini import mistakes_with_file
-        from navigation.robot_path_planner.settings import MERGED, read_file
-
-        return mistakes_with_file(self, self.ini, read_file, RobotPathPlannerSection.misfits, merged=MERGED)
-
     def misfits(self) -> Iterator[Mistake]:
-        """Yield the keys that do not fit the others."""
         own = {ACTION, planner_action(OURS[0]), f"{YARP}{self.prefix}"}
         if self.navigator in own:
             text = (

@@ -10,7 +10,6 @@ from typing import Any
 from navigation.ini import Ini, IniGroup, frame_name, port_name
 from navigation.robot_path_planner.section import DrivenSection, RobotPathPlannerSection
 
-MERGED = ("waypoint", "goal")
 _CELL = 0.05
 _SPEEDS = (
     ("max_lin_speed", 0.01, 3.0, "m/s"),
@@ -44,7 +43,7 @@ def read_file(section: RobotPathPlannerSection, ini: Ini) -> dict[str, Any]:
     """Return the fields that a file sets; see `navigation.ini.laid_under`."""
     fields: dict[str, Any] = {}
     navigation = ini.group("NAVIGATION") if "NAVIGATION" in ini else ini.top
-    for kind in MERGED:
+    for kind in RobotPathPlannerSection.merged:
         from_file = _drive_settings(navigation, kind, named="NAVIGATION" in ini)
         given: DrivenSection = getattr(section, kind)
         from_section = {} if kind not in section.model_fields_set else given.model_dump(include=given.model_fields_set)

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from bridge.config.load import Config
+from bridge.config.model import Config
 from bridge.config.zenoh_effects import ROUTER, WORKERS, unusable
 from bridge.hub.node import Hub
 from tests.peers.hub.network import HubNetwork

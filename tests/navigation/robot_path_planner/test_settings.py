@@ -12,7 +12,7 @@ from navigation.constraints import Constraints
 from navigation.ini import laid_under
 from navigation.robot_goto.section import RobotGotoSection
 from navigation.robot_path_planner.section import RobotPathPlannerSection
-from navigation.robot_path_planner.settings import MERGED, read_file
+from navigation.robot_path_planner.settings import read_file
 
 R1 = """\
 [GENERAL]
@@ -86,7 +86,7 @@ def read(folder: Path, text: str, **section: object) -> tuple[RobotPathPlannerSe
     file = folder / "robotPathPlanner.ini"
     file.write_text(text)
     given = RobotPathPlannerSection.model_validate({"ini": file, **section})
-    return laid_under(given, given.ini, read_file, merged=MERGED)
+    return laid_under(given, given.ini, read_file, merged=RobotPathPlannerSection.merged)
 
 
 def test_a_file_of_r1_is_read_unchanged(tmp_path: Path) -> None:
@@ -127,7 +127,7 @@ def test_invalid_files_are_rejected_with_place_and_reason(tmp_path: Path) -> Non
     with pytest.raises(RuntimeError, match=r"ini:17: 'robot_radius' must be a number, not 'wide'"):
         read(tmp_path, OLD.replace("0.35", "wide"))
     with pytest.raises(RuntimeError, match="no such file"):
-        laid_under(RobotPathPlannerSection(), tmp_path / "none.ini", read_file, merged=MERGED)
+        laid_under(RobotPathPlannerSection(), tmp_path / "none.ini", read_file, merged=RobotPathPlannerSection.merged)
 
 
 @pytest.mark.parametrize(

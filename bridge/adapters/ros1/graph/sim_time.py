@@ -81,7 +81,8 @@ class SimTime:
         if not updates:
             return
         try:
-            self._follow(*self._read(self._client), updates)
+            value, set_by = self._read(self._client)
+            self._follow(value, set_by, updates)
         except Ros1Error:
             self._updates.extendleft(reversed(updates))
             raise

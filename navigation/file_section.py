@@ -1,0 +1,38 @@
+"""The sections of modules that can also be configured by a YARP file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, ClassVar
+
+from typing_extensions import override
+
+from bridge.config.sections.section import Mistake, ModuleSection, setting
+from bridge.registration import imported
+
+
+class FileSection(ModuleSection):
+    """The section of a module that has a YARP file, below the section's own keys.
+
+    Attributes:
+        reader: the function that reads the file, as ``package.module:function``; see `navigation.ini.laid_under`.
+        merged: the inner sections of which the file and the configuration may each set some keys.
+    """
+
+    reader: ClassVar[str]
+    merged: ClassVar[tuple[str, ...]] = ()
+
+    ini: Path | None = setting(None, "A YARP file of an existing robot; keys set here override it.")
+
+    @override
+    def mistakes(self, config: Any) -> Iterable[Mistake]:
+        if self.ini is None:
+            return self.misfits()
+        from navigation.ini import mistakes_with_file  # imports YARP's data
+
+        return mistakes_with_file(self, self.ini, imported(self.reader), type(self).misfits, merged=self.merged)
+
+    def misfits(self) -> Iterable[Mistake]:
+        """Return the keys that do not fit the others."""
+        return ()
