@@ -12,8 +12,3 @@ def stop_after(type_name: str, payload: bytes) -> bytes:
     """Return a command (CDR, or ROS 1 bytes) with its velocity set to zero; "" if the type is not a velocity."""
     is_velocity = type_name in VELOCITIES or type_name in _ROS1_NAMES
     return payload[:-_VELOCITY] + bytes(_VELOCITY) if is_velocity else b""
-
-
-def is_zero(payload: bytes) -> bool:
-    """Return whether the velocity in a command (CDR, or ROS 1 bytes) is zero."""
-    return payload[-_VELOCITY:] == bytes(_VELOCITY)

@@ -6,7 +6,6 @@ import logging
 from dataclasses import replace
 
 from bridge.hub.wire.qos import Durability, Qos
-from bridge.messages.velocities import VELOCITIES
 from bridge.routing.counters import Counters
 from bridge.routing.limits import Priority, RateLimit
 from bridge.routing.rules import RoutePolicy
@@ -44,12 +43,6 @@ class TopicAdmission:
     def commands(self) -> bool:
         """Whether its messages are commands."""
         return self.priority_of(latched=False) is Priority.COMMAND
-
-    @property
-    def drives(self) -> bool:
-        """Whether its messages are velocities for a base, of whatever class; others are measured velocities."""
-        by_name = replace(self.policy, priority="").class_of(self._topics, self._type_name, latched=False)
-        return by_name is Priority.COMMAND or (self.commands and self._type_name in VELOCITIES)
 
     def latches(self, qos: Qos) -> bool:
         """Return whether the messages of a publisher with this QoS are latched; commands never are."""

@@ -106,9 +106,6 @@ class HubToSideRoute(TopicRoute):
             self._exit.allow(())
         self._open_publishers(sources.allowed.values())  # before a message of a new source needs one
         self._sources = sources
-        if self._velocity is not None:
-            with self.queue.publishing:  # no thread publishes for the former sources any longer
-                self._leave_zero(lambda: sources.refused)
         self._allow_plain()
         for gid in before.keys() - self._sources.allowed.keys():
             if before[gid].latched and not self.static:
@@ -285,7 +282,7 @@ class HubToSideRoute(TopicRoute):
             return
         try:
             lent = sample.payload  # it stays valid while it is referenced
-            if source.latched or self._velocity is not None or not isinstance(lent, LentPayload):
+            if source.latched or not isinstance(lent, LentPayload):
                 size = self._send(publisher, sample, source)
             else:
                 size = self._send_lent(publisher, lent, sample.gid.hex())
@@ -307,11 +304,6 @@ class HubToSideRoute(TopicRoute):
             publishers.add_invented(source.endpoint.gid, sample.gid)
         if source.latched and publishers.static is not None:
             data, name = publishers.static.merge(data), STATIC
-        if self._velocity is None:
-            return self._send_cdr(publisher, data, name)
-        return self._velocity.publish(source.endpoint.gid, data, lambda cdr, _: self._send_cdr(publisher, cdr, name))
-
-    def _send_cdr(self, publisher: EdgePublisher, data: bytes, name: str) -> int | None:
         if self.conversion.convert is not None:
             data = self.conversion.convert(data)
         if self.too_large(len(data)):
@@ -340,7 +332,6 @@ class HubToSideRoute(TopicRoute):
             self._exit.open = False
             self._exit.send_by(None)
         self._subscription.close()
-        self._leave_zero(lambda: {e.gid for e in self._context.hub.graph.publishers(self.hub_topic)}, end=True)
         self._publishers.close()
         self.queue.clear()
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Container, Hashable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Generic, TypeVar
 
@@ -23,7 +23,6 @@ from bridge.routing.decision import RouteDecision, RouteKey
 from bridge.routing.dispatcher import Dispatcher
 from bridge.routing.edge import Edge, Endpoint
 from bridge.routing.hold import Hold
-from bridge.routing.last_velocity import LastVelocity
 from bridge.routing.limits import Priority, qos_text
 from bridge.routing.peer_watch import Lease
 from bridge.routing.rules import RoutePolicy
@@ -162,15 +161,6 @@ class TopicRoute(Route, TopicAdmission):
         self._priority = Priority.STREAM
         self._qos = Qos()
         self._lease = context.lease
-        self._velocity = LastVelocity(hub.name) if self.drives else None
-
-    def _leave_zero(self, interrupted: Callable[[], Container[Hashable]], *, end: bool = False) -> None:
-        """Publish zero if the last velocity is that of an interrupted publisher; see `LastVelocity.stop`.
-
-        Without the lease, another worker may publish the velocities.
-        """
-        if self._velocity is not None:
-            self._velocity.stop(() if self._lease.over else interrupted(), end=end)
 
     def _is_plain(self) -> bool:
         """Return whether C code can handle small messages: conversion in C, no rate, and no velocities."""

@@ -25,7 +25,6 @@ from bridge.routing.counters import CARRY_BOUNDS
 from bridge.routing.decision import RouteDecision, RouteKey, native_groups
 from bridge.routing.edge import EdgeSubscription, Endpoint, Kind
 from bridge.routing.gates import EntryGate
-from bridge.routing.last_velocity import LastVelocity
 from bridge.routing.limits import BULK, MAX_PENDING, QUEUE_BYTES, QUEUE_DEPTH, Priority, combined_qos, stream_depth
 from bridge.routing.rewrites import TF_TYPE, StaticTransforms
 from bridge.routing.route import EngineContext, RouteSet, TopicRoute
@@ -320,12 +319,10 @@ class SideToHubRoute(TopicRoute):
             size = len(data)
             if self.too_large(size):
                 return
-            if isinstance(data, StoredMessage):
-                publisher.hub_publisher.put(data, time_ns)
-            elif self._velocity is not None:
-                self._put_velocity(self._velocity, data, publisher, time_ns)
-            else:
+            if isinstance(data, bytes):
                 publisher.put(data, time_ns)
+            else:
+                publisher.hub_publisher.put(data, time_ns)
         except (MessageError, HubError, ValueError) as err:
             self.bad(str(err))
             return
@@ -335,13 +332,6 @@ class SideToHubRoute(TopicRoute):
         self.counters.carried(size, since)
         if self._tells_time and isinstance(data, bytes):
             self._context.edge.clock.receive(data)
-
-    @staticmethod
-    def _put_velocity(velocity: LastVelocity, cdr: bytes, publisher: _SidePublisher, time_ns: int | None) -> None:
-        def put(cdr: bytes, later_ns: int) -> None:
-            publisher.put(cdr, None if time_ns is None else time_ns + later_ns)
-
-        velocity.publish(publisher.endpoint.id, cdr, put)
 
     def _converted(self, payload: bytes, publisher: _SidePublisher) -> bytes | StoredMessage:
         """Return a converted message, a large one in a block of the lane if all subscriptions are on lanes."""
@@ -364,7 +354,6 @@ class SideToHubRoute(TopicRoute):
             self._subscription.close()
             self._subscription = None
         self._large.close()
-        self._leave_zero(lambda: {endpoint.id for endpoint in self._context.edge.endpoints()}, end=True)
         for source in list(self._sources):
             self._remove(source)
         if self._shared is not None:

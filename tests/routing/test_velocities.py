@@ -10,7 +10,6 @@ import pytest
 from bridge.clock import RunClock
 from bridge.config.sections.routing import RoutingSection
 from bridge.hub.endpoints.publisher import HubPublisher
-from bridge.hub.graph.tokens import Origin
 from bridge.hub.node import Hub
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.errors import ConversionError
@@ -42,7 +41,7 @@ class Side:
     """A side on a hub, and another program on the hub."""
 
     def __init__(self, hubs: HubNetwork) -> None:
-        self.network, self.settings = FakeNetwork(), hubs.settings
+        self.network = FakeNetwork()
         self.hub, self.far = Hub.open(hubs.settings("side")), Hub.open(hubs.settings("far"))
         self.engine = Engine(Edge(self.network, REGISTRY), self.hub, RoutingSection(), "side", pytest.fail)
 
@@ -294,105 +293,4 @@ def test_commands_exclude_other_messages_from_a_topic_with_one_queue(side: Side,
     until(lambda: arrived(side, programs[CMD_VEL], TWIST, TWIST), "the command arrives on the side")
     programs[CMD_VEL].close()
     until(lambda: [r.hub_topic for r in side.engine.routes()] == ["/recorded"], "without commands, the others pass")
-    until(lambda: not side.refused(), "the check that created the route has ended")
-
-
-ZERO = {"linear": {"x": 0.0, "y": 0.0, "z": 0.0}, "angular": {"x": 0.0, "y": 0.0, "z": 0.0}}
-STREAM = {"topic": "/recorded", "rename": CMD_VEL, "priority": "stream"}
-DENIED = {"topic": "/**", "deny": True}
-
-
-def drives(side: Side, program: HubPublisher, type_name: str = TWIST) -> None:
-    """Have a program on the hub move the base."""
-    until(lambda: arrived(side, program, type_name, type_name), "the velocity arrives on the side")
-
-
-def is_last_zero(messages: list[bytes], type_name: str = TWIST) -> bool:
-    return decoded(type_name, messages[-1]) == ZERO
-
-
-def test_a_stream_of_velocities_that_commands_displace_leaves_zero(side: Side) -> None:
-    """The program with the commands may be silent, and the base would keep its last velocity until its time-out."""
-    side.rules(STREAM)
-    side.base(CMD_VEL, TWIST)
-    stream = side.program(TWIST, "/recorded")
-    drives(side, stream)
-    side.program(TWIST)
-    until(side.refused, "the stream is refused")
-    stream.put(WITHOUT_STAMP)
-    assert is_last_zero(side.received)
-
-
-@pytest.mark.parametrize("type_name", [TWIST, STAMPED])
-@pytest.mark.parametrize("end", ["a rule denies it", "the worker stops"])
-def test_a_velocity_to_a_side_is_zero_when_its_route_ends(side: Side, type_name: str, end: str) -> None:
-    side.base(CMD_VEL, type_name)
-    program = side.program(type_name)
-    drives(side, program, type_name)
-    if end == "the worker stops":
-        side.engine.stop()
-    else:
-        side.rules(DENIED)
-    until(lambda: is_last_zero(side.received, type_name), "the base gets zero")
-    count = len(side.received)
-    program.put(MESSAGES[type_name])
-    side.engine.stop()
-    assert len(side.received) == count
-
-
-@pytest.mark.parametrize("end", ["a rule denies it", "the worker stops"])
-def test_a_velocity_to_the_hub_is_zero_when_its_route_ends(side: Side, end: str) -> None:
-    received: list[bytes] = []
-    type_id = REGISTRY.ros2(TWIST).type_id
-    side.far.subscription(CMD_VEL, TWIST, type_id, Qos(), lambda sample: received.append(sample.data()))
-    writer = side.network.write_on(CMD_VEL, TWIST, Qos(), MadeBy.NATIVE, "/joystick")
-    until(lambda: (side.network.write(writer, WITHOUT_STAMP), received)[1], "the velocity arrives on the hub")
-    if end == "the worker stops":
-        side.engine.stop()
-    else:
-        side.rules(DENIED)
-    until(lambda: is_last_zero(received), "zero arrives on the hub")
-    side.network.write(writer, WITHOUT_STAMP)
-    until(lambda: not side.far.graph.publishers(CMD_VEL), "the route has ended")
-    assert is_last_zero(received)
-
-
-def test_a_velocity_is_zero_when_a_rule_denies_its_publisher_only(side: Side) -> None:
-    side.base(CMD_VEL, TWIST)
-    with Hub.open(side.settings("joystick")) as joystick:
-        joystick.set_origin(Origin("yarp", "yarp-1", "other"))
-        denied = joystick.publisher(CMD_VEL, TWIST, REGISTRY.ros2(TWIST).type_id, Qos(depth=1))
-        drives(side, denied)
-        silent = side.program(TWIST)
-        until(lambda: [route.status().sources for route in side.engine.routes()] == [2], "both are bridged")
-        side.rules({"topic": CMD_VEL, "from": "yarp", "deny": True})
-        until(lambda: is_last_zero(side.received), "the base gets zero")
-        denied.put(WITHOUT_STAMP)
-        drives(side, silent)
-
-
-@pytest.mark.parametrize("stopped", [True, False])
-def test_no_zero_follows_a_publisher_that_has_stopped_or_left(side: Side, stopped: bool) -> None:
-    """As on the publisher's own network."""
-    side.base(CMD_VEL, TWIST)
-    program = side.program(TWIST)
-    drives(side, program)
-    if stopped:
-        program.put(from_json(REGISTRY, TWIST, ZERO))
-        until(lambda: is_last_zero(side.received), "the base has stopped")
-    else:
-        program.close()
-        until(lambda: not side.far.graph.publishers(CMD_VEL), "the publisher has left")
-        until(lambda: not side.engine.routes(), "the route has ended")
-    count = len(side.received)
-    side.engine.stop()
-    assert len(side.received) == count
-    assert is_last_zero(side.received) is stopped
-
-
-def test_no_zero_follows_a_measured_velocity(side: Side) -> None:
-    side.base("/measured", TWIST)
-    program = side.program(TWIST, "/measured")
-    drives(side, program)
-    side.engine.stop()
-    assert not is_last_zero(side.received)
+    assert side.refused() == []
