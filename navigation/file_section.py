@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any, ClassVar
 
 from typing_extensions import override
 
 from bridge.config.sections.section import Mistake, ModuleSection, setting
-from bridge.registration import imported
 
 
 class FileSection(ModuleSection):
@@ -31,7 +31,7 @@ class FileSection(ModuleSection):
             return self.misfits()
         from navigation.ini import mistakes_with_file  # imports YARP's data
 
-        return mistakes_with_file(self, self.ini, imported(self.reader), type(self).misfits, merged=self.merged)
+        return mistakes_with_file(self, self.ini, resolve_name(self.reader), type(self).misfits, merged=self.merged)
 
     def misfits(self) -> Iterable[Mistake]:
         """Return the keys that do not fit the others."""

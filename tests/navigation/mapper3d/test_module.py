@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bridge.config.model import Config
 from bridge.stores.kinds import MAP, MAP3D
 from navigation.clouds import MOST_POINTS, read_points
 from navigation.mapper3d.octomaps import cloud_message
+from navigation.mapper3d.section import Mapper3DSection
 from navigation.maps.grid_map import values_at
 from tests.peers.hub.modules import Place
 from tests.support.wait import until
@@ -421,5 +421,5 @@ def test_octomap_servers_topics_and_services_are_served(place: Place) -> None:
     ],
 )
 def test_invalid_settings_are_rejected(section: dict[str, Any], words: str) -> None:
-    with pytest.raises(ValueError, match=words):
-        Config.model_validate({"modules": {"mapper3d": section}})
+    [(path, text)] = Mapper3DSection.model_validate(section).mistakes(None)
+    assert words in f"{'.'.join(map(str, path))}: {text}"
