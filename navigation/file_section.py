@@ -1,4 +1,4 @@
-"""The sections of modules that can also be configured by a YARP file."""
+"""The sections of modules that can also be configured with a YARP file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from bridge.config.sections.section import Mistake, ModuleSection, setting
 
 
 class FileSection(ModuleSection):
-    """The section of a module that has a YARP file, below the section's own keys.
+    """The section of a module that may also read a YARP file, whose values the section's own keys override.
 
     Attributes:
         reader: the function that reads the file, as ``package.module:function``; see `navigation.ini.laid_under`.

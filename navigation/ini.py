@@ -46,9 +46,9 @@ def mistakes_with_file(
     section: S,
     file: Path,
     read: Callable[[S, Ini], dict[str, Any]],
-    misfits: Callable[[S], Iterable[Mistake]] = lambda _section: (),
+    misfits: Callable[[S], Iterable[Mistake]],
     *,
-    merged: Collection[str] = (),
+    merged: Collection[str],
 ) -> Iterator[Mistake]:
     """Yield the errors of a section's file, else the ``misfits`` of the section with the file's values.
 
