@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from bridge.config.document import KeyPath
 from bridge.config.sections.section import is_loopback
-from bridge.config.zenoh_values import Tree
+from bridge.config.zenoh_values import Tree, texts
 
 if TYPE_CHECKING:
     from bridge.config.model import Config
@@ -159,13 +159,3 @@ def _found(tree: Any, path: KeyPath) -> Any:
     for part in path:
         tree = tree.get(part) if isinstance(tree, dict) else None
     return tree
-
-
-def texts(value: Any, path: KeyPath) -> Iterator[tuple[KeyPath, str]]:
-    """Yield each text within a value, with its path; ``path`` is the path of the value."""
-    if isinstance(value, str):
-        yield path, value
-    elif isinstance(value, dict | list):
-        for part, inner in value.items() if isinstance(value, dict) else enumerate(value):
-            if part != "strategy":
-                yield from texts(inner, (*path, part))

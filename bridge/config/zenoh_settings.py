@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Any
 
 from bridge.config.document import ConfigError, Document, KeyPath, Place, Problem, key_text, read, text_of
 from bridge.config.sections.section import is_loopback, not_one_of, zenoh_destination, zenoh_endpoint
-from bridge.config.zenoh_effects import DIALECTS, OPEN, ROUTER, WORKERS, Flaw, texts, unusable
+from bridge.config.zenoh_effects import DIALECTS, OPEN, ROUTER, WORKERS, Flaw, unusable
+from bridge.config.zenoh_files import files_in, json5, refusal, zenoh_package
 from bridge.config.zenoh_plugins import replacement
-from bridge.config.zenoh_values import Tree, changed
+from bridge.config.zenoh_values import Tree, changed, texts
 
 if TYPE_CHECKING:
     from bridge.config.model import Config
@@ -28,13 +29,8 @@ _ROUTERS: tuple[KeyPath, ...] = (ROUTER, OPEN)
 _MOST = 20
 """Maximum number of problems that are reported for one zenoh configuration."""
 
-_DEEPEST = 100
-"""Maximum depth of nested brackets in a JSON5 file; zenoh's parser needs stack space for each."""
-
 _LEGACY: tuple[KeyPath, ...] = (("routing", "peer"), ("routing", "router", "peers_failover_brokering"))
 """Keys of zenoh before 1.10 that the parser still accepts but ignores; files for rmw_zenoh contain them."""
-
-_FILES = re.compile(r"(?:_certificate|_private_key|_file)$")
 
 
 def zenoh_problems(document: Document, config: Config) -> list[Problem]:
@@ -61,9 +57,9 @@ def _with_files(config: Config) -> Config:
     for name in ("zenoh", "router_zenoh"):
         if isinstance(file := getattr(config.hub, name), Path):
             read[name] = {}
-            with suppress(_zenoh().ZError):
-                tree = json.loads(str(_zenoh().Config.from_file(str(file))))
-                read[name] = changed(tree, json.loads(str(_zenoh().Config())))
+            with suppress(zenoh_package().ZError):
+                tree = json.loads(str(zenoh_package().Config.from_file(str(file))))
+                read[name] = changed(tree, json.loads(str(zenoh_package().Config())))
     return config.model_copy(update={"hub": config.hub.model_copy(update=read)}) if read else config
 
 
@@ -74,39 +70,14 @@ def _of_file(file: Path, section: KeyPath, config: Config) -> list[Problem]:
             tree, place = document.data, partial(_place_in_document, document)
         else:
             text = text_of(file)
-            tree, place = _json5(file, text, section), partial(_place_in_text, text)
+            tree, place = json5(file, text, section), partial(_place_in_text, text)
     except ConfigError as err:
         return list(err.problems)
     flaws = _of_tree({} if tree is None else tree, section, config, in_file=True)
     if not flaws:
-        reason = _refusal(partial(_zenoh().Config.from_file, str(file)))
+        reason = refusal(partial(zenoh_package().Config.from_file, str(file)))
         flaws = [((), f"zenoh cannot read the file: {reason}")] if reason else []
     return [Problem(file, *place(path), key_text((*section, *path)), text) for path, text in flaws]
-
-
-def _json5(file: Path, text: str, section: KeyPath) -> Any:
-    """Parse the text of a JSON5 file; raises `ConfigError`."""
-    config, key = _zenoh().Config, key_text(section)
-    if _depth(text) > _DEEPEST:
-        raise ConfigError([Problem(file, 0, 0, key, f"has more than {_DEEPEST} nested brackets")])
-    reason = _refusal(partial(config.from_json5, text))
-    if place := re.search(r"--> (\d+):(\d+)", reason):
-        expected = re.search(r"= (.*)", reason)
-        detail = f"{expected[1] if expected else 'an error'}; check commas, quotes and brackets from here on"
-        raise ConfigError([Problem(file, int(place[1]), int(place[2]), key, f"not valid JSON5: {detail}")])
-    # zenoh accepts any value for `metadata`, and returns all its keys, including those that it would ignore elsewhere
-    wrapped = f'{{"metadata": {text}\n}}'
-    if reason := _refusal(partial(config.from_json5, wrapped)):
-        raise ConfigError([Problem(file, 0, 0, key, f"zenoh refuses it: {reason}")])
-    return json.loads(config.from_json5(wrapped).get_json("metadata"))
-
-
-def _depth(text: str) -> int:
-    deepest = depth = 0
-    for bracket in re.findall(r"[\[\]{}]", text):
-        depth += 1 if bracket in "[{" else -1
-        deepest = max(deepest, depth)
-    return deepest
 
 
 def _place_in_document(document: Document, path: KeyPath) -> Place:
@@ -142,7 +113,7 @@ def _of_tree(tree: Any, section: KeyPath, config: Config, *, in_file: bool = Fal
     flaws += [] if flaws else _bad_references(tree)
     if not flaws:
         # `bridge.hub.zenoh_config.make_config` does the same
-        tree = changed(tree, json.loads(str(_zenoh().Config()))) if in_file else tree
+        tree = changed(tree, json.loads(str(zenoh_package().Config()))) if in_file else tree
         flaws += unusable(tree, section, config)
     if section in _ROUTERS and tree.get("mode", "router") != "router":
         flaws.append((("mode",), f"the mode of the daemon's router is 'router', not {tree['mode']!r}; leave it out"))
@@ -154,23 +125,8 @@ def _of_tree(tree: Any, section: KeyPath, config: Config, *, in_file: bool = Fal
 # -- zenoh's parser ----------------------------------------------------------------------------------------------------
 
 
-def _zenoh() -> Any:
-    import zenoh  # only files with zenoh's settings need it
-
-    return zenoh
-
-
-def _refusal(parse: Any) -> str:
-    """Return why zenoh refuses a configuration, "" if zenoh accepts it."""
-    try:
-        parse()
-    except _zenoh().ZError as err:
-        return str(err).partition(" at /")[0]  # without the location in zenoh's source code
-    return ""
-
-
 def _refused(tree: Tree) -> str:
-    return _refusal(partial(_zenoh().Config.from_json5, json.dumps(tree)))
+    return refusal(partial(zenoh_package().Config.from_json5, json.dumps(tree)))
 
 
 def _accepted(tree: Tree) -> tuple[Tree, list[Flaw]]:
@@ -246,13 +202,13 @@ def _unknown(name: str, known: list[str]) -> str:
 
 def _ignored(tree: Tree) -> Iterator[Flaw]:
     """Yield the keys that zenoh's parser ignores, lists that must be maps, and numbers that are out of range."""
-    config = _zenoh().Config.from_json5(json.dumps(tree))
+    config = zenoh_package().Config.from_json5(json.dumps(tree))
     for path, value, known in _differences(tree, json.loads(str(config)), ()):
         if isinstance(value, list) and isinstance(known, dict):
             yield path, "must be a map, not a list"
         elif not isinstance(known, dict):
             yield path, f"zenoh reads {value} as {known}; the value is out of range"
-        elif path not in _LEGACY and _refusal(partial(config.get_json, "/".join(map(str, path)))):
+        elif path not in _LEGACY and refusal(partial(config.get_json, "/".join(map(str, path)))):
             unknown = _unknown(str(path[-1]), list(known))
             yield path, unknown if known else "zenoh ignores it; check the spelling of all its keys"
 
@@ -295,8 +251,8 @@ def _missing_files(tree: Tree) -> Iterator[Flaw]:
 
     Relative paths are not checked: they depend on the worker's working directory.
     """
-    for path, text in texts(tree.get("transport"), ("transport",)):
-        if _FILES.search(str(path[-1])) and Path(text).is_absolute():
+    for path, text in files_in(tree):
+        if Path(text).is_absolute():
             try:
                 if stat.S_ISDIR(Path(text).stat().st_mode):
                     yield path, f"{text} is a folder, not a file"

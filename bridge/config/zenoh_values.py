@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 Tree = dict[str, Any]
@@ -20,3 +20,13 @@ def changed(tree: Tree, defaults: Mapping[str, Any]) -> Tree:
         elif value is not None and value != default:
             values[key] = value
     return values
+
+
+def texts(value: Any, path: tuple[str | int, ...]) -> Iterator[tuple[tuple[str | int, ...], str]]:
+    """Yield each text within a value, with its path; ``path`` is the path of the value."""
+    if isinstance(value, str):
+        yield path, value
+    elif isinstance(value, dict | list):
+        for part, inner in value.items() if isinstance(value, dict) else enumerate(value):
+            if part != "strategy":
+                yield from texts(inner, (*path, part))
