@@ -33,6 +33,14 @@ class FileSection(ModuleSection):
 
         return mistakes_with_file(self, self.ini, resolve_name(self.reader), type(self).misfits, merged=self.merged)
 
+    @override
+    def named_files(self) -> Iterable[Path]:
+        if self.ini is None:
+            return ()
+        from navigation.ini import files_of  # as in `mistakes`
+
+        return files_of(self.ini)
+
     def misfits(self) -> Iterable[Mistake]:
         """Return the keys that do not fit the others."""
         return ()

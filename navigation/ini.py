@@ -63,6 +63,13 @@ def mistakes_with_file(
         yield from misfits(whole)
 
 
+def files_of(path: Path) -> list[Path]:
+    """Return a file and those that it includes, also paths at which an included file may appear later."""
+    tried: list[Path] = []
+    config_text.read_file(str(path), {}, None, wipe=True, find_import=find_in_context, tried=tried)
+    return tried
+
+
 class Ini:
     """A YARP configuration file with its includes; raises `IniError` if it does not exist."""
 

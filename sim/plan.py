@@ -15,6 +15,7 @@ from bridge.config.sections.section import Section
 from sim.environment import SimError, checked, document, find
 from yarp_compat.dev.mapfile import MapFileError
 from yarp_compat.dev.mapgrid import MAX_CELLS, MapFlag, MapGrid2D
+from yarp_compat.dev.yarpmap import files_of_map
 
 Point = tuple[float, float]
 Pose = tuple[float, float, float]
@@ -321,6 +322,17 @@ def load_plan(name: str | Path, resolution: float = 0.05) -> Plan:
     if "floors" in loaded.data:
         return checked(loaded, Plan)
     return single(file, checked(loaded, Floor))
+
+
+def files_of_plan(file: Path) -> list[Path]:
+    """Return the file of a plan that has been checked, and for a map those with its cells."""
+    kind = file.suffix.lower()
+    try:
+        if kind == ".map" or (kind in (".yaml", ".yml") and "image" in document(file).data):
+            return files_of_map(file)
+    except (SimError, MapFileError):  # it has changed since it was checked
+        pass
+    return [file]
 
 
 def single(file: Path, floor: Floor) -> Plan:

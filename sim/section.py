@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -150,3 +150,12 @@ class SimSection(Section):
         from sim.fitting import mistakes  # imports numpy
 
         return mistakes(self.plan, self.resolution, self.robot, self.start, self.encoders.scale, people=self.people)
+
+    @override
+    def named_files(self) -> Iterator[Path]:
+        if isinstance(self.robot, Path):
+            yield self.robot
+        if isinstance(self.plan, Path):
+            from sim.plan import files_of_plan  # imports numpy
+
+            yield from files_of_plan(self.plan)

@@ -204,7 +204,8 @@ be made by hand, it lists them and exits with code 3. Midspan rejects files in a
 in files that an older Midspan may read.
 
 `midspan config check FILE` reports every problem with its line and column, including unknown and duplicate keys,
-and two listeners on the same port.
+and two listeners on the same port. It also reads the files that the configuration names, except the maps and places of
+`store`, the folders of message definitions, and the certificates of `hub.open`, which `midspan doctor` checks.
 A list of texts can also be written as one text (`trusted: operator1`), and the address of a `listen` as a list of one.
 `midspan config schema` prints a JSON schema; with
 
@@ -216,7 +217,18 @@ as the first line of a file, editors check and complete it while you type.
 
 `midspan reload` (or SIGHUP, or `systemctl reload midspan`) checks the file and loads it again. A file with a problem
 changes nothing. Only the workers that use changed keys reload or restart. `name` and `state` need a restart of the
-daemon.
+daemon. If the contents of a file that a key names have changed, a reload acts as if the key had changed:
+
+| Changed contents of | A reload |
+|---|---|
+| `ini` of a module, and the files that it includes or imports | restarts the module |
+| `hub.zenoh`, `hub.router_zenoh`, and the certificates, keys and password files that they name | restarts all workers |
+| `hub.open.zenoh`, and the files that it names | opens the router for other machines again |
+| `zenoh.zenoh`, and the files that it names; `ros1.packages`; `ros2.profile` | restarts that side |
+| `types.folders`, `types.mapping_rules` | restarts all workers except the router and the ROS 1 master |
+| `sim.plan`, with the images of a map; `sim.robot` | restarts the simulation |
+| certificates and keys of `hub.open` | is not needed: the router and the servers load new ones within seconds |
+| Python packages, such as those of `modules.own` | has no effect: restart the daemon |
 """
 
 

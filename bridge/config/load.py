@@ -10,6 +10,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
+from bridge.config.digests import digest_of
 from bridge.config.document import ConfigError, Document, KeyPath, Problem, parse, read
 from bridge.config.listeners import listener_problems
 from bridge.config.migrate import too_new
@@ -80,12 +81,14 @@ def from_document(document: Document, *, client: bool = False) -> Config:
     placed: Config = _resolve_paths(config, (), document, missing)
     if missing:
         raise ConfigError(missing)
-    sections = () if client else _enabled_sections(placed, ())
+    sections = () if client else tuple(_enabled_sections(placed, ()))
     wrong = [((*place, *path), text) for place, section in sections for path, text in section.mistakes(placed)]
     if wrong:
         raise ConfigError([document.problem(path, text) for path, text in wrong])
     if refused := zenoh_problems(document, placed) or _mapping_rule_problems(document, placed):
         raise ConfigError(refused)
+    for _, section in sections:
+        section.set_digest(digest_of(section.named_files()))
     return placed
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import socket
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ForwardRef, Literal, Self, TypeVar
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ForwardRef, Literal, Self, Typ
 from pydantic import Field, create_model, model_validator
 from typing_extensions import override
 
+from bridge.config.digests import set_digests
 from bridge.config.sections.section import Section, differ, setting, subsection
 from bridge.descriptors import all_modules, all_workers
 from bridge.registration import imported
@@ -54,6 +56,10 @@ def _later(target: str, description: str) -> Any:
     return Field(default_factory=Default(target), description=description)
 
 
+_DEFINITIONS = ("*", "*/*", "*/*/*")  # of a folder for one kind, of a package, of packages
+_SUFFIXES = {".msg", ".srv", ".action", ".idl", ".xml"}
+
+
 class TypesSection(Section):
     """Message types beyond those installed."""
 
@@ -66,6 +72,13 @@ class TypesSection(Section):
         (),
         "Mapping-rule files (YAML), as for ros1_bridge, or for versions of packages; see docs/sides/messages.md.",
     )
+
+    @override
+    def named_files(self) -> Iterator[Path]:
+        yield from self.mapping_rules
+        for folder in self.folders:
+            for pattern in _DEFINITIONS:
+                yield from sorted(file for file in folder.glob(pattern) if file.suffix in _SUFFIXES)
 
 
 class LimitsSection(Section):
@@ -151,6 +164,10 @@ class Config(Section):
                 section = getattr(self.modules, module.name)
                 return section
         raise LookupError(f"{target} is not the section of a worker or a module")
+
+    def set_digests(self, values: Mapping[str, str]) -> None:
+        """Set the digests of the sections' files, which a configuration from the daemon comes with."""
+        set_digests(self, values)
 
     @property
     def rules(self) -> RoutingSection:

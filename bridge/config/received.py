@@ -5,13 +5,14 @@ The models of all sections take 0.1 s of processor time, and a worker uses few o
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pydantic import PrivateAttr
 from typing_extensions import override
 
+from bridge.config.digests import set_digests
 from bridge.config.model import FORMAT, Config, Default
 
 
@@ -19,6 +20,7 @@ class ReceivedConfig(Config):
     """A configuration that the daemon has checked, from the plain data that it sent."""
 
     _sent: dict[str, Any] = PrivateAttr()
+    _digests: Mapping[str, str] = PrivateAttr()
 
     @classmethod
     def of(cls, data: dict[str, Any]) -> ReceivedConfig:
@@ -31,7 +33,7 @@ class ReceivedConfig(Config):
         object.__setattr__(config, "__dict__", values)
         object.__setattr__(config, "__pydantic_fields_set__", set(data))
         object.__setattr__(config, "__pydantic_extra__", None)
-        object.__setattr__(config, "__pydantic_private__", {"_sent": sections})
+        object.__setattr__(config, "__pydantic_private__", {"_digest": "", "_sent": sections, "_digests": {}})
         return config
 
     if not TYPE_CHECKING:
@@ -44,7 +46,13 @@ class ReceivedConfig(Config):
             factory = type(self).model_fields[name].default_factory
             model = factory.model if isinstance(factory, Default) else factory
             section = self.__dict__[name] = model.model_validate(private["_sent"][name])
+            own = {key: digest for key, digest in self._digests.items() if key.partition(".")[0] == name}
+            set_digests(self, own)
             return section
+
+    @override
+    def set_digests(self, values: Mapping[str, str]) -> None:
+        self._digests = values
 
     def _build(self) -> None:
         for name in self._sent:

@@ -1,7 +1,8 @@
-"""The files of zenoh settings, and zenoh's parser."""
+"""Files with zenoh settings, and the files that zenoh settings name, such as certificates."""
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import re
 from collections.abc import Iterator
@@ -9,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from bridge.config.document import ConfigError, KeyPath, Problem, key_text
+from bridge.config.document import ConfigError, KeyPath, Problem, key_text, read, text_of
 from bridge.config.zenoh_values import Tree, texts
 
 _DEEPEST = 100
@@ -23,6 +24,28 @@ def files_in(tree: Tree) -> Iterator[tuple[KeyPath, str]]:
     for path, text in texts(tree.get("transport"), ("transport",)):
         if _FILES.search(str(path[-1])):
             yield path, text
+
+
+def files_of(settings: Tree | Path | None) -> Iterator[Path]:
+    """Yield the file of checked zenoh settings, if they are in one, and the files that the settings name."""
+    if isinstance(settings, Path):
+        yield settings
+    for _, text in files_in(_tree(settings)):
+        yield Path(text)
+
+
+def _tree(settings: Tree | Path | None) -> Tree:
+    return _content(settings) if isinstance(settings, Path) else settings or {}
+
+
+def _content(file: Path) -> Tree:
+    if importlib.util.find_spec("zenoh") is None:
+        return {}
+    try:
+        tree = read(file).data if file.suffix in (".yaml", ".yml") else json5(file, text_of(file), ())
+    except ConfigError:  # it has changed since it was checked
+        return {}
+    return tree if isinstance(tree, dict) else {}
 
 
 def json5(file: Path, text: str, section: KeyPath) -> Any:

@@ -3,6 +3,7 @@
 Commands (daemon to worker)::
 
     {"config": {...}}                                    the whole configuration; the first one starts the worker
+    {"config": {...}, "digests": {"ros2": "1f..."}}      the same, with the digests of the files that sections name
     {"stop": true}
 
 Reports (worker to daemon)::
@@ -30,6 +31,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, get_args
 
+from bridge.config.digests import digests
 from bridge.config.model import Config
 from bridge.daemon.heartbeat import busy_line
 from bridge.progress import Busy
@@ -122,7 +124,8 @@ def encode_command(command: Command) -> bytes:
     """Encode a command as one line."""
     match command:
         case NewConfig(config):
-            return _line({"config": config_json(config)})
+            files = dict(digests(config))
+            return _line({"config": config_json(config), **({"digests": files} if files else {})})
         case Stop():
             return _line({"stop": True})
 
@@ -134,7 +137,9 @@ def decode_command(line: bytes, parse: Callable[[dict[str, Any]], Config] = Conf
         return Stop("requested by the daemon")
     if "config" in data:
         try:
-            return NewConfig(parse(data["config"]))
+            config = parse(data["config"])
+            config.set_digests({key: str(digest) for key, digest in data.get("digests", {}).items()})
+            return NewConfig(config)
         except Exception as err:  # also of the code of another package's section
             raise ProtocolError(f"an invalid configuration: {err}") from err
     raise ProtocolError(f"not a command: {line[:200]!r}")

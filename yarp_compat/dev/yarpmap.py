@@ -57,6 +57,20 @@ def load_yarp(path: str | Path, jail: Path | None = None) -> MapContents:
     return MapContents(flags, occupancy, settings["MapName"], header.resolution, MapGrid2DOrigin(x, y, theta))
 
 
+def files_of_map(path: Path) -> list[Path]:
+    """Return the files of a map of YARP (``.map``) or ROS (YAML), the given one first; raises `MapFileError`."""
+    file = resolve(path, Path(), None)
+    if file.suffix.lower() != ".map":
+        return [path, resolve(read_header(file).image, file.parent, None)]
+    settings = _settings(mapfile.read_text(file))
+    files = [path]
+    if "YarpMapData" in settings:
+        files.append(resolve(settings["YarpMapData"], file.parent, None))
+    if "RosMapData" in settings:
+        files += files_of_map(resolve(settings["RosMapData"], file.parent, None))
+    return files
+
+
 def save_yarp(grid: MapContents, path: str | Path) -> None:
     """Write a map for YARP: the ``.map`` file and three files named after the map; raises `MapFileError`."""
     file = Path(path)

@@ -58,13 +58,16 @@ def read_file(
     places: Places | None = None,
     *,
     find_import: FindImport | None = None,
+    tried: list[Path] | None = None,
 ) -> bool:
     """Read a file, or all files of a folder, into a dict of entries; return False, and change nothing, if not found.
 
     ``env`` has values for variables; ``wipe`` first empties ``entries``; ``places`` receives the file and line of each
-    key, for error messages; ``find_import`` returns the files of ``[import ...]``.
+    key, for error messages; ``find_import`` returns the files of ``[import ...]``; ``tried`` receives the paths of the
+    file and of those that it includes, also where they were searched in vain.
     """
-    return _File(env, {} if places is None else places, find_import).read(name, entries, wipe)
+    places, tried = {} if places is None else places, [] if tried is None else tried
+    return _File(env, places, find_import, tried).read(name, entries, wipe)
 
 
 def read_folder(
@@ -88,7 +91,7 @@ def read_folder(
 
 def read(text: str, entries: Entries, env: Environment | None, *, find_import: FindImport | None = None) -> None:
     """Read the text of a configuration file into a dict of entries."""
-    _File(env, {}, find_import).parse(text, entries)
+    _File(env, {}, find_import, []).parse(text, entries)
 
 
 @dataclass
@@ -98,6 +101,7 @@ class _File:
     env: Environment | None
     places: Places
     find_import: FindImport | None
+    tried: list[Path]
     folders: list[str] = field(default_factory=list)
     depth: int = 0
     name: str = ""
@@ -114,6 +118,7 @@ class _File:
             return False
         for folder in ("", *self.folders):
             path = Path(folder, name)
+            self.tried.append(path)
             text = _text(path)
             if text is not None:
                 if wipe:

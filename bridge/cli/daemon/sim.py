@@ -62,6 +62,7 @@ def _list() -> int:
 
 
 def _config(args: argparse.Namespace) -> Config:
+    from bridge.config.digests import digest_of
     from bridge.config.load import load
     from bridge.state_file import with_state
     from sim.section import SimSection
@@ -79,6 +80,7 @@ def _config(args: argparse.Namespace) -> Config:
         section = SimSection.model_validate({**config.section(SimSection).model_dump(), **changed, "enabled": True})
     except ValueError as err:
         raise CliError(str(err)) from None
+    section.set_digest(digest_of(section.named_files()))
     return config.model_copy(update={"sim": section})
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import Field, field_validator, model_validator
+from typing_extensions import override
 
 from bridge.config.sections.section import (
     Enabled,
@@ -17,6 +19,14 @@ from bridge.config.sections.section import (
     setting,
     subsection,
 )
+
+
+def zenoh_files(settings: dict[str, Any] | Path | None) -> Iterator[Path]:
+    """Yield the file of zenoh settings, if they are in one, and the files that the settings name."""
+    if settings:
+        from bridge.config.zenoh_files import files_of  # most configurations have no zenoh settings
+
+        yield from files_of(settings)
 
 
 class OpenSection(Section):
@@ -39,6 +49,11 @@ class OpenSection(Section):
         False, "Allow endpoints without TLS: any machine that reaches them may join, and `trusted` cannot name it."
     )
     zenoh: dict[str, Any] | Path | None = setting(None, "zenoh configuration of this router, like `hub.router_zenoh`.")
+
+    @override
+    def named_files(self) -> Iterator[Path]:
+        """Return the files of `zenoh`; the router itself watches the others (`bridge.hub.security.key_files`)."""
+        return zenoh_files(self.zenoh)
 
     @property
     def opened(self) -> bool:
@@ -89,6 +104,11 @@ class HubSection(Section):
         "Send messages between the daemon's own workers over a Unix socket in the state folder, if the system has such"
         " sockets (Linux); `false`: send all messages over zenoh.",
     )
+
+    @override
+    def named_files(self) -> Iterator[Path]:
+        yield from zenoh_files(self.zenoh)
+        yield from zenoh_files(self.router_zenoh)
 
     @property
     def without_open(self) -> HubSection:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import socket
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
 
 from pydantic import field_validator, model_validator
+from typing_extensions import override
 
 from bridge.config.sections.listen import split
 from bridge.config.sections.section import EMBEDDED, Address, Enabled, MasterUri, NodeName, SideSection, setting
@@ -44,6 +46,12 @@ class Ros1Section(SideSection):
     packages: Path | None = setting(
         None, "Folder with ROS 1's Python packages, for their message definitions; default: this system's packages."
     )
+
+    @override
+    def named_files(self) -> Iterator[Path]:
+        if self.packages is not None:
+            for pattern in ("*/msg/_*.py", "*/srv/_*.py"):
+                yield from sorted(self.packages.glob(pattern))
 
     @property
     def embedded_uri(self) -> str:

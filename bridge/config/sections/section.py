@@ -7,12 +7,12 @@ import ipaddress
 import re
 import types
 import typing
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 from urllib.parse import urlsplit
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, model_validator
 
 from bridge.registration import imported
 from bridge.sides import all_networks
@@ -28,9 +28,14 @@ Mistake = tuple[tuple[str | int, ...], str]
 
 
 class Section(BaseModel):
-    """Base of all sections: frozen, and an unknown key is an error."""
+    """Base of all sections: frozen, and an unknown key is an error.
+
+    Sections differ also if the files that they name had different contents when they were loaded; see `named_files`.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    _digest: str = PrivateAttr("")  # part of the comparison, as all private attributes are
 
     @model_validator(mode="before")
     @classmethod
@@ -55,6 +60,33 @@ class Section(BaseModel):
         This is not asked of a disabled section, in which only each key and value by itself must be valid.
         """
         return ()
+
+    def named_files(self) -> Iterable[Path]:
+        """Return the files whose contents belong to the section, so that a reload applies changes of them.
+
+        These are by default the files that its keys name; a section adds those to which its files refer.
+        """
+        return _files(tuple(value for _, value in self if not isinstance(value, Section)))
+
+    @property
+    def digest(self) -> str:
+        """A digest of the contents of `named_files` at load; "" without such files."""
+        return self._digest
+
+    def set_digest(self, digest: str) -> None:
+        """Set the digest of a section that is being loaded or received."""
+        self._digest = digest
+
+
+def _files(value: Any) -> Iterator[Path]:
+    """Yield the files that a value of a section names."""
+    if isinstance(value, Path) and value.is_file():
+        yield value
+    elif isinstance(value, Section):
+        yield from value.named_files()
+    elif isinstance(value, tuple):
+        for item in value:
+            yield from _files(item)
 
 
 def is_list_of_texts(annotation: Any) -> bool:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
+from typing_extensions import override
 
+from bridge.config.sections.hub import zenoh_files
 from bridge.config.sections.section import ROS2_NAME, Enabled, Section, SideSection, ZenohDestination, matching, setting
 
 _PLAIN_KEY = re.compile(r"[^\s/*$?#@]+(?:/[^\s/*$?#@]+)*")
@@ -125,6 +128,10 @@ class ZenohSection(SideSection):
         None, "zenoh configuration of the sessions there (inline or a file); default: that of the hub's sessions."
     )
     dialects: tuple[Dialect, ...] = setting((), "The dialects on that network; see below.")
+
+    @override
+    def named_files(self) -> Iterator[Path]:
+        return zenoh_files(self.zenoh)
 
     @model_validator(mode="after")
     def _once_each(self) -> ZenohSection:
