@@ -227,6 +227,7 @@ daemon. If the contents of a file that a key names have changed, a reload acts a
 | `zenoh.zenoh`, and the files that it names; `ros1.packages`; `ros2.profile` | restarts that side |
 | `types.folders`, `types.mapping_rules` | restarts all workers except the router and the ROS 1 master |
 | `sim.plan`, with the images of a map; `sim.robot` | restarts the simulation |
+| `store.maps`, `store.locations` | imports new maps and places, and replaces nothing, as at the start |
 | certificates and keys of `hub.open` | is not needed: the router and the servers load new ones within seconds |
 | Python packages, such as those of `modules.own` | has no effect: restart the daemon |
 """

@@ -238,7 +238,7 @@ def _end(module: Module, host: Host) -> None:
 SWITCH_INTERVAL = 0.0005
 """Seconds after which a computing thread yields the interpreter to a thread that has a message to handle."""
 
-_FIXED = ("name", "state", "hub", "store", "types", "limits", "clock")
+_FIXED = ("name", "state", "hub", "types", "limits", "clock")
 
 
 class ModulesWorker(Worker):
@@ -276,7 +276,11 @@ class ModulesWorker(Worker):
             return False
         if any(getattr(config, part) != getattr(old, part) for part in _FIXED):
             return False
+        if list(config.store) != list(old.store):  # only the keys, without the contents of the files that they name
+            return False
         self._config = config
+        if config.store != old.store:
+            shared.stores.import_again()
         logging.getLogger().setLevel(config.log.level.upper())
         sections = self._sections(config)
         self._unusable.clear()

@@ -154,6 +154,13 @@ class StoreService:
                 return str(err)
         return ""
 
+    def import_again(self) -> None:
+        """Import the configured files, whose contents have changed, as at the start; the store may not be open yet."""
+        with self._lock:
+            opened = self._open
+        if opened is not None:
+            import_at_start(opened[0], self._config.store)
+
     def close(self) -> None:
         """Close the store. Safe to call twice."""
         with self._lock:

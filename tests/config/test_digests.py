@@ -75,6 +75,9 @@ def reloaded(before: Config, after: Config) -> set[str]:
         ("types: {folders: a}", {"a/b_msgs/msg/B.msg": "int8 b\n"}, ("a/b_msgs/msg/B.msg", "int8", "int16"), ALL - {"router", "ros1_master"}),
         ("types: {folders: a}", {"a/A.msg": "int8 b\n"}, ("a/B.msg", "", "int8 b\n"), ALL - {"router", "ros1_master"}),
         ("types: {mapping_rules: a}", {"a": RULES}, ("a", "NAME", "OTHER"), ALL - {"router", "ros1_master"}),
+        ("store: {maps: a.map}", {"a.map": "MapName a\n"}, ("a.map", "a", "b"), {"modules"}),
+        ("store: {locations: a.ini}", {"a.ini": "a"}, ("a.ini", "a", "b"), {"modules"}),
+        ("store: {locations: a.ini}", {"a.ini": "a"}, ("a_extras.ini", "", "b"), {"modules"}),
         ("sim: {enabled: true, plan: a.yaml}", {"a.yaml": PLAN.replace("WIDTH", "5")}, ("a.yaml", "5", "6"), {"sim"}),
         (
             "sim: {enabled: true, plan: a.yaml, start: [4, 4, 0]}",

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 import pytest
 
+from bridge.config.digests import digest_of
 from bridge.config.model import Config
 from bridge.config.sections.section import Section
 from bridge.daemon.workers import worker_kinds
@@ -22,6 +23,8 @@ from bridge.stores.service import StoreService
 from tests.peers.hub.modules import Place
 from tests.stores.test_store import KITCHEN
 from tests.support.wait import until
+from yarp_compat.dev.locations import Map2DLocation
+from yarp_compat.dev.places import Places
 
 OWN = {"name": "keeper", "factory": "tests.stores.test_service:Keeper"}
 
@@ -66,6 +69,25 @@ def test_the_store_runs_without_modules(rig: Place) -> None:
     rig.worker.start(config)
     assert (rig.worker.health().state, rig.worker.health().text) == ("running", "store")
     until(lambda: rig.status("store"), "the store reports its status")
+
+
+def test_a_reload_imports_new_values_of_changed_files(rig: Place, tmp_path: Path) -> None:
+    places = {"kitchen": KITCHEN}
+    Places(places, {}, {}).save(file := tmp_path / "locations.ini")
+
+    def config() -> Config:
+        configured = rig.config(OWN, store={"enabled": True, "locations": file})
+        configured.store.set_digest(digest_of(configured.store.named_files()))  # as the daemon loads it
+        return configured
+
+    rig.worker.start(config())
+    store, module = rig.worker.store, rig.worker.running("keeper").module
+    store.put(LOCATION, "kitchen", moved := Map2DLocation("m1", 9.0))
+    Places({**places, "hall": Map2DLocation("m2", 1.0)}, {}, {}).save(file)
+    assert rig.worker.reload(config())
+    assert store.names(LOCATION) == ["hall", "kitchen"]
+    assert store.get(LOCATION, "kitchen") == moved, "an import replaces no value"
+    assert rig.worker.running("keeper").module is module, "modules keep running"
 
 
 def test_a_disabled_store_or_one_in_use_is_reported(rig: Place) -> None:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
-from bridge.config.sections.section import (
-    Enabled,
-    Section,
-    setting,
-)
+from typing_extensions import override
+
+from bridge.config.sections.section import Enabled, Section, setting
 
 
 class StoreSection(Section):
@@ -34,3 +33,9 @@ class StoreSection(Section):
         gt=0,
         le=3650,
     )
+
+    @override
+    def named_files(self) -> Iterator[Path]:
+        yield from filter(None, (self.maps, self.locations))
+        if self.locations is not None:
+            yield self.locations.with_name(f"{self.locations.stem}_extras.ini")  # `yarp_compat.dev.extras`
