@@ -16,6 +16,7 @@ from bridge.config.zenoh_values import Tree, texts
 _DEEPEST = 100
 """Maximum depth of nested brackets in a JSON5 file; zenoh's parser needs stack space for each."""
 
+_TLS: KeyPath = ("transport", "link", "tls")
 _FILES = re.compile(r"(?:_certificate|_private_key|_file)$")
 
 
@@ -32,6 +33,17 @@ def files_of(settings: Tree | Path | None) -> Iterator[Path]:
         yield settings
     for _, text in files_in(_tree(settings)):
         yield Path(text)
+
+
+def tls_files(settings: Tree | Path | None) -> Iterator[tuple[Path, Path | None, Path | None]]:
+    """Yield the authority's certificate, a certificate and its key, for each role in which checked settings use TLS."""
+    names = {path[-1]: Path(text) for path, text in files_in(_tree(settings)) if path[:-1] == _TLS}
+    ca = names.get("root_ca_certificate")
+    for role in ("listen", "connect"):
+        certificate, key = names.get(f"{role}_certificate"), names.get(f"{role}_private_key")
+        pair = (certificate, key) if certificate and key else (None, None)
+        if any_certificate := ca or certificate:
+            yield any_certificate, *pair
 
 
 def _tree(settings: Tree | Path | None) -> Tree:

@@ -15,6 +15,7 @@ from bridge.config.document import ConfigError
 from bridge.config.load import load
 from bridge.config.model import Config
 from bridge.daemon import log
+from bridge.daemon.changed_files import check_changed_files
 from bridge.daemon.lock import Lock
 from bridge.daemon.log_query import LOG, RecentLines
 from bridge.daemon.notify import Notifier
@@ -71,7 +72,10 @@ class ConfigSource:
         self._environ = environ
 
     def reload(self, running: Config) -> Config:
-        """Load the file again; raises `ConfigError`, and `RuntimeError` for a change that needs a restart."""
+        """Load the file again.
+
+        Raises `ConfigError`, and `RuntimeError` for a change that needs a restart, or a file that cannot be used.
+        """
         config = state_file.named(load(self.file), self._environ)
         # The folder in use may be full or read-only by now: that is reported, but must not make the reload fail.
         config = config.model_copy(update={"state": state_folder(config, self._environ).absolute()})
@@ -80,6 +84,7 @@ class ConfigSource:
             if old != new:
                 change = f"{key}: changing it from '{old}' to '{new}'"
                 raise RuntimeError(f"{self.file}: {change} needs a restart of the daemon")
+        check_changed_files(running, config)
         return config
 
 

@@ -22,6 +22,7 @@ from bridge import resources, state_file
 from bridge.adapters.memory import few_heaps
 from bridge.config.model import Config
 from bridge.daemon import log, protocol
+from bridge.daemon.changed_files import check_changed_files
 from bridge.daemon.control import Commands, ControlServer, DaemonPipe, Hangup
 from bridge.daemon.heartbeat import dump_stacks_on_signal
 from bridge.daemon.lock import INHERITED, Lock
@@ -184,6 +185,7 @@ class WorkerLoop:
 
         try:
             config = self._load()
+            check_changed_files(self._config, config)
         except (ConfigError, OSError, RuntimeError) as err:  # the state folder may be full or read-only by now
             logger.error("the new configuration is rejected, the running one is kept:\n%s", err)  # noqa: TRY400
             self._report(protocol.Reloaded())

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import signal
+from pathlib import Path
 
 import pytest
 
 from bridge.config.model import Config
 from bridge.daemon.query import reload_daemon
+from bridge.hub.security.certificates import Authority
 from tests.peers.daemon.daemon import Daemon, alive
 from tests.support.process import Process
 from tests.support.wait import until
@@ -83,6 +86,53 @@ def test_broken_file_keeps_the_running_configuration(daemon: Daemon, config: str
     assert [daemon.events(worker, "reload") for worker in WORKERS] == [[], [], []]
     reload(daemon, process, "routing: {default: deny}\n")
     until(lambda: daemon.events("ros1", "reload"), "the corrected file is loaded")
+
+
+PROFILE = (
+    '<dds><profiles><participant profile_name="p" is_default_profile="true"><rtps><name>old</name></rtps>'
+    "</participant></profiles></dds>"
+)
+
+
+def test_a_changed_file_that_the_configuration_names_counts_as_a_change(daemon: Daemon) -> None:
+    (profile := daemon.folder / "profile.xml").write_text(PROFILE)
+    daemon.configure("ros2: {profile: profile.xml}\n")
+    process = daemon.start()
+    daemon.wait_ready(process)
+    profile.write_text(PROFILE.removesuffix("</dds>"))
+    process.signal(signal.SIGHUP)
+    daemon.expect_output(process, f"midspan.yaml:3:17: ros2.profile: {profile} is not XML: ")
+    assert daemon.events("ros2", "reload") == []
+    profile.write_text(PROFILE.replace("old", "new"))
+    process.signal(signal.SIGHUP)
+    until(lambda: daemon.events("ros2", "reload"), "the side reloads")
+    until(lambda: process.output().count("ready: ") == 3, "the daemon is ready again")
+    assert daemon.events("ros1", "reload") == daemon.events("router", "reload") == []
+
+
+def test_a_changed_file_that_cannot_be_used_changes_nothing(daemon: Daemon) -> None:
+    authority = Authority(daemon.folder / "keys")
+    authority.make()
+    authority.issue("robot1")
+    ca, certificate, key = (str(daemon.folder / "keys" / name) for name in ("ca.pem", "robot1.pem", "robot1.key"))
+    tls = {"root_ca_certificate": ca, "connect_certificate": certificate, "connect_private_key": key}
+    settings = daemon.folder / "zenoh.json5"
+    settings.write_text(json.dumps({"transport": {"link": {"tls": tls}}}))
+    daemon.configure("hub: {zenoh: zenoh.json5}\n")
+    process = daemon.start()
+    daemon.wait_ready(process)
+    Path(certificate).write_bytes(b"half of a file")
+    process.signal(signal.SIGHUP)
+    daemon.expect_output(process, f"hub: {certificate} is not a certificate (PEM)")
+    Path(certificate).unlink()
+    Path(certificate).symlink_to(certificate)
+    process.signal(signal.SIGHUP)
+    daemon.expect_output(process, f"hub: cannot read {certificate}: Too many levels of symbolic links")
+    assert [daemon.events(worker, "reload") for worker in WORKERS] == [[], [], []]
+    Path(certificate).unlink()
+    authority.issue("robot1", replace=True)
+    process.signal(signal.SIGHUP)
+    until(lambda: all(daemon.events(worker, "reload") for worker in WORKERS), "all workers get the new certificate")
 
 
 def test_name_cannot_change_while_running(daemon: Daemon) -> None:

@@ -1,4 +1,4 @@
-"""A user's Fast DDS profile (``ros2.profile``), and the shared memory that it needs."""
+"""The shared memory that a user's Fast DDS profile (``ros2.profile``) needs."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
+from bridge.adapters.ros2.profile_file import default_participant, read
 from bridge.hub.shared_memory import FOLDER
 
 _SEGMENT = 512 << 10
@@ -13,27 +14,6 @@ _SEGMENT = 512 << 10
 
 _WITH_MEMORY = {"SHM", "DEFAULT", "DEFAULTv6", "LARGE_DATA", "LARGE_DATAv6", ""}
 """Sets of built-in transports that include shared memory; "" is the default."""
-
-
-def read(own: Path) -> ET.Element:
-    """Return a profile without namespaces; raises `ValueError` or `OSError`."""
-    try:
-        root = ET.fromstring(own.read_bytes())  # noqa: S314 - a file that the configuration names
-    except ET.ParseError as err:
-        raise ValueError(f"ros2.profile {own}: not XML: {err}") from None
-    for element in root.iter():
-        # Fast DDS ignores the namespace, and ElementTree does not write it as the default one.
-        element.tag = element.tag.rpartition("}")[2]
-    return root
-
-
-def default_participant(root: ET.Element) -> ET.Element | None:
-    """Return the ``<rtps>`` element of the default participant."""
-    for participant in root.iter("participant"):
-        rtps = participant.find("rtps")
-        if participant.get("is_default_profile") == "true" and rtps is not None:
-            return rtps
-    return None
 
 
 def segment(root: ET.Element) -> int:

@@ -35,7 +35,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-from bridge.adapters.ros2 import own_profile, rcl, receive_buffers
+from bridge.adapters.ros2 import profile_file, rcl, receive_buffers
 from bridge.adapters.ros2.environment import STATIC_PEERS, SWITCHES, UNSET
 from bridge.adapters.ros2.graph import neighbors
 from bridge.adapters.ros2.graph.origins import ALL_NUMBERS, new_prefix, participant_number, stored_prefixes
@@ -153,13 +153,10 @@ def addresses(peers: Iterable[str]) -> Iterator[str]:
 
 def stamped(own: Path, prefix: bytes) -> str:
     """Return a user's profile with Midspan's mark in its default participant; raises `ValueError` or `OSError`."""
-    root = own_profile.read(own)
-    rtps = own_profile.default_participant(root)
-    if rtps is not None:
-        _set_prefix(rtps, prefix)
-        root.set("xmlns", _NAMESPACE)
-        return ET.tostring(root, encoding="unicode", xml_declaration=True)
-    raise ValueError(f'ros2.profile {own}: has no <participant is_default_profile="true"> with an <rtps> element')
+    root, rtps = profile_file.whole(own)
+    _set_prefix(rtps, prefix)
+    root.set("xmlns", _NAMESPACE)
+    return ET.tostring(root, encoding="unicode", xml_declaration=True)
 
 
 def _set_prefix(rtps: ET.Element, prefix: bytes) -> None:
@@ -192,7 +189,10 @@ def use_profile(config: Config, state: Path) -> FastDdsProfile:
     custom, local = config.ros2.profile, config.ros2.localhost_only
     peers = tuple(addresses(static_peers(os.environ))) if custom is None and not local else ()
     profile = FastDdsProfile(prefix, _segment(config, state), local, peers)
-    text = profile.xml() if custom is None else stamped(custom, profile.prefix)
+    try:
+        text = profile.xml() if custom is None else stamped(custom, profile.prefix)
+    except ValueError as err:  # the file has changed since the configuration was checked
+        raise RuntimeError(f"ros2.profile: {err}") from None
     path = state / "ros2" / "fastdds.xml"
     if not keep(path, text, "trying another folder for the Fast DDS profile"):
         path = _write_elsewhere(text, path.parent)

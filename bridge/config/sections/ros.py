@@ -5,14 +5,25 @@ from __future__ import annotations
 import socket
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import field_validator, model_validator
 from typing_extensions import override
 
 from bridge.config.sections.listen import split
-from bridge.config.sections.section import EMBEDDED, Address, Enabled, MasterUri, NodeName, SideSection, setting
+from bridge.config.sections.section import (
+    EMBEDDED,
+    Address,
+    Enabled,
+    MasterUri,
+    Mistake,
+    NodeName,
+    SideSection,
+    setting,
+)
+from bridge.registration import imported
 
+_PROFILE_CHECK = "bridge.adapters.ros2.profile_file:mistake"
 _ANY = ("0.0.0.0", "::")  # noqa: S104  only compared, never bound
 
 
@@ -93,6 +104,11 @@ class Ros2Section(SideSection):
     )
     profile: Path | None = setting(None, "Your own Fast DDS XML profile, used instead of the generated one.")
     localhost_only: bool = setting(True, "Discover ROS 2 nodes of this machine only.")
+
+    @override
+    def mistakes(self, config: Any) -> Iterator[Mistake]:
+        if self.profile is not None and (reason := imported(_PROFILE_CHECK)(self.profile)):
+            yield ("profile",), reason
 
     @model_validator(mode="after")
     def _fits_the_middleware(self) -> Ros2Section:

@@ -12,7 +12,7 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
-from bridge.adapters.ros2 import own_profile
+from bridge.adapters.ros2 import own_profile, profile_file
 from bridge.adapters.ros2 import profile as profile_module
 from bridge.adapters.ros2.dds import fast
 from bridge.adapters.ros2.graph.origins import is_marked, new_prefix
@@ -189,7 +189,7 @@ def test_the_size_of_a_custom_profiles_shared_memory_is_known(
     tmp_path: Path, transports: str, rtps: str, size: int
 ) -> None:
     custom = own(tmp_path, transports, rtps)
-    assert own_profile.segment(own_profile.read(custom)) == size
+    assert own_profile.segment(profile_file.read(custom)) == size
     assert own_profile.trouble(custom, tmp_path) == ""
     if Path("/sys").is_mount():  # a file system without any space
         trouble = own_profile.trouble(custom, Path("/sys"))
