@@ -230,7 +230,7 @@ refuses contents that cannot be used:
 | `sim.plan`, with the images of a map; `sim.robot` | restarts the simulation |
 | `store.maps`, `store.locations` | imports new maps and places, and replaces nothing, as at the start |
 | certificates and keys of `hub.open` | is not needed: the router and the servers load new ones within seconds |
-| Python packages, such as those of `modules.own` | has no effect: restart the daemon |
+| Python packages, and files in the `options` of your own modules | has no effect: restart the daemon |
 """
 
 
