@@ -79,7 +79,7 @@ class RouteToLane:
     def __init__(self, convert: Callable[[bytes], bytes] | None) -> None:
         self.lane, self.epoch, self.lease, self.wakes = RecordedLane(), Epoch(), Lease(), 0
         self.waits: list[bool] = []
-        self.link = ReaderLink(self.lane.near, self.waits.append, Blocks(lambda *_: None))
+        self.link = ReaderLink(self.lane.near, self.waits.append, Blocks(lambda *_: None), lambda *_: None)
         self.outlet = self.link.outlets[1] = Outlet(self.link, 1, "key")
         self.outlet.depth = 50
         self.publishers: list[Publisher] = []

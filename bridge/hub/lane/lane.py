@@ -65,7 +65,7 @@ class Lane:
         self.why = ""
         folder.clean(path)  # before the writer listens, because it would count the check of its socket as a reader
         try:
-            self.writer = LaneWriter(path, zid, Blocks(self.calls.after))
+            self.writer = LaneWriter(path, zid, Blocks(self.calls.after), self.calls.after)
         except OSError as err:
             self.why = f"{path}: {err.strerror or err}"
             _log.warning("this worker has no lane, its messages use zenoh: %s", self.why)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Generic, NamedTuple
 
-from bridge.hub.lane.blocks import Block, Blocks, StoredMessage
+from bridge.hub.lane.blocks import Block, Blocks
 from bridge.hub.lane.queues import Queue
 
 MAX_LENT = 64 << 20
@@ -33,10 +33,6 @@ class Loans(Generic[Queue]):
     def has_room(self, size: int) -> bool:
         """Return whether a message of ``size`` bytes may be lent."""
         return not self._loans or self._bytes + size <= MAX_LENT
-
-    def store(self, payload: bytes) -> StoredMessage | None:
-        """Return a message in a block, for the caller to `StoredMessage.release`; None if it cannot be lent."""
-        return self._blocks.store(payload) if self.has_room(len(payload)) else None
 
     def begin(self, queue: Queue, block: Block, size: int) -> None:
         """Note that the next loan, a message of the given queue, was sent."""

@@ -6,6 +6,7 @@ import contextlib
 import logging
 import select
 import socket
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from threading import RLock, Thread
@@ -36,14 +37,19 @@ class LanePublisher(Protocol):
 class LaneWriter:
     """Accepts the connections of a session's readers, attaches publishers to them, and flushes their queues.
 
+    Args:
+        later: calls a function after some seconds.
+
     Attributes:
         blocks: the session's blocks.
 
     Raises `OSError` if it cannot listen.
     """
 
-    def __init__(self, path: Path, zid: str, blocks: Blocks) -> None:
-        self.blocks = blocks
+    def __init__(
+        self, path: Path, zid: str, blocks: Blocks, later: Callable[[float, Callable[[], None]], None]
+    ) -> None:
+        self.blocks, self._later = blocks, later
         self._folder, self._zid = path, zid
         self._listener = folder.listen(path, zid)
         self._listener.setblocking(False)
@@ -150,7 +156,7 @@ class LaneWriter:
         sock.setblocking(False)
         number = sock.fileno()
         self._poll.register(number, select.EPOLLIN)
-        self._links[number] = ReaderLink(sock, partial(self._watch, number), self.blocks)
+        self._links[number] = ReaderLink(sock, partial(self._watch, number), self.blocks, self._later)
 
     def _watch(self, number: int, waits: bool) -> None:
         with contextlib.suppress(OSError, ValueError):  # the link has just ended

@@ -23,7 +23,7 @@ def test_the_end_of_a_connection_is_reported_although_the_next_attempt_fails(tmp
         raise RuntimeError(msg)
 
     connections = LaneConnections(tmp_path, retry, lambda _zid: None, disconnected.append, lambda *_: None)
-    with contextlib.closing(LaneWriter(tmp_path, "abcd", Blocks(lambda *_: None))):
+    with contextlib.closing(LaneWriter(tmp_path, "abcd", Blocks(lambda *_: None), lambda *_: None)):
         inlet = connections.inlet("abcd")
         assert isinstance(inlet, Inlet)
     until(lambda: disconnected, "the end is reported")

@@ -41,7 +41,7 @@ class Lender:
         self.far.setblocking(False)
         self.watched: list[bool] = []
         self.blocks = Blocks(lambda *_: None)
-        self.link = ReaderLink(self.near, self.watched.append, self.blocks)
+        self.link = ReaderLink(self.near, self.watched.append, self.blocks, lambda *_: None)
         self.images, self.other = Outlet(self.link, 1, "0/images/t/h"), Outlet(self.link, 2, "0/other/t/h")
         self.link.outlets.update({1: self.images, 2: self.other})
         self.files: list[int] = []

@@ -29,7 +29,7 @@ class Pair:
         self.near.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 100_000)
         self.watched: list[bool] = []
         self.blocks = Blocks(lambda *_: None)
-        self.link = ReaderLink(self.near, self.watched.append, self.blocks)
+        self.link = ReaderLink(self.near, self.watched.append, self.blocks, lambda *_: None)
         self.stream, self.command = Outlet(self.link, 1, "0/stream/t/h"), Outlet(self.link, 2, "0/command/t/h")
         self.link.outlets.update({1: self.stream, 2: self.command})
         self.stream.depth, self.command.command = 10, True

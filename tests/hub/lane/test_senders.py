@@ -28,7 +28,7 @@ class QueuedLane(RecordedLane):
     def __init__(self) -> None:
         super().__init__()
         self.waits: list[bool] = []
-        self.reader_link = ReaderLink(self.near, self.waits.append, Blocks(lambda *_: None))
+        self.reader_link = ReaderLink(self.near, self.waits.append, Blocks(lambda *_: None), lambda *_: None)
         self.outlet = Outlet(self.reader_link, 1, "0/t/type/hash")
         self.outlet.depth = 100_000
         self.reader_link.outlets[1] = self.outlet

@@ -27,13 +27,16 @@ def test_an_error_disconnects_only_one_reader(tmp_path: Path, monkeypatch: pytes
         read(writer, number, link)
 
     monkeypatch.setattr(LaneWriter, "_read", fail_once)
-    with contextlib.closing(LaneWriter(tmp_path, ZID, Blocks(lambda *_: None))):
+    with contextlib.closing(LaneWriter(tmp_path, ZID, Blocks(lambda *_: None), lambda *_: None)):
         assert _replies(tmp_path) == b"", "it is disconnected"
         assert HEAD.unpack_from(_replies(tmp_path)) == (FENCE, 1)
 
 
 def test_readers_connect_while_the_system_is_out_of_threads(tmp_path: Path) -> None:
-    with contextlib.closing(LaneWriter(tmp_path, ZID, Blocks(lambda *_: None))), no_threads("hub-lane"):
+    with (
+        contextlib.closing(LaneWriter(tmp_path, ZID, Blocks(lambda *_: None), lambda *_: None)),
+        no_threads("hub-lane"),
+    ):
         assert HEAD.unpack_from(_replies(tmp_path)) == (FENCE, 1)
 
 
