@@ -45,11 +45,16 @@ static int set_measured(Message *message, long long size, int copies)
 }
 
 /* Writes a message, which `measured` has checked, to a place of the measured size. */
-static void write_at(const Message *message, char *place)
+static int write_at(const Message *message, char *place)
 {
+    bool written;
     Py_BEGIN_ALLOW_THREADS
-    write_converted(message, place);
+    written = write_converted(message, place);
     Py_END_ALLOW_THREADS
+    if (!written) {
+        PyErr_SetString(PyExc_ValueError, "the message changed while it was converted");
+    }
+    return written ? 0 : -1;
 }
 
 static PyObject *write_to(PyObject *Py_UNUSED(module), PyObject *args)
@@ -70,7 +75,7 @@ static PyObject *write_to(PyObject *Py_UNUSED(module), PyObject *args)
         failed = -1;
     }
     if (failed == 0) {
-        write_at(&message, place.buf);
+        failed = write_at(&message, place.buf);
     }
     PyBuffer_Release(&place);
     PyBuffer_Release(&view);
@@ -91,8 +96,8 @@ static PyObject *converted(PyObject *Py_UNUSED(module), PyObject *args)
     if (read_message(&message, &program, native, &view) == 0 && set_measured(&message, size, copies) == 0) {
         result = PyBytes_FromStringAndSize(NULL, (Py_ssize_t)size);
     }
-    if (result != NULL) {
-        write_at(&message, PyBytes_AsString(result));
+    if (result != NULL && write_at(&message, PyBytes_AsString(result)) < 0) {
+        Py_CLEAR(result);
     }
     PyBuffer_Release(&view);
     return result;

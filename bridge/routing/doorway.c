@@ -59,7 +59,7 @@ static PyObject *ready_sender(Doorway *doorway, PyObject *source, double now)
 
 static void write_message(void *message, char *place)
 {
-    write_converted(message, place);
+    (void)write_converted(message, place); /* bytes of Python, which do not change */
 }
 
 /* Sends a message, and returns true; or returns false, and has done nothing. */

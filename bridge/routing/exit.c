@@ -81,10 +81,10 @@ static bool accept(PyObject *self, PyObject *gid, const char *payload, size_t si
 {
     Exit *way = (Exit *)self;
     Message message = {&way->program, (const unsigned char *)payload, (int64_t)size, 0, false};
-    if (!is_plain(way, gid) || !measure(&message) || message.converted > way->limit) {
+    if (!is_plain(way, gid) || !measure(&message) || message.converted > way->limit ||
+        !write_converted(&message, buffer + PREFIX)) {
         return false;
     }
-    write_converted(&message, buffer + PREFIX);
     Py_INCREF(self);
     bool sent = way->output->send(way->owner, buffer + PREFIX, (size_t)message.converted);
     if (sent) {

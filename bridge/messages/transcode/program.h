@@ -10,7 +10,7 @@
 #include <time.h>
 
 typedef int64_t (*Run)(const int64_t *words, const unsigned char *literals, const unsigned char *source, int64_t size,
-                       unsigned char *target, int write); /* vm._run */
+                       unsigned char *target, int64_t room); /* vm._run */
 
 typedef struct {
     Run run; /* NULL if the bytes stay the same */
@@ -64,14 +64,18 @@ static inline bool measure(Message *message)
     return true;
 }
 
-static inline void write_converted(const Message *message, char *place)
+/* Writes the converted form, at most the measured size; returns false if the message has changed since `measure`, which
+   is possible only in memory that another process shares. */
+static inline bool write_converted(const Message *message, char *place)
 {
     const Program *program = message->program;
     if (message->copies) {
         memcpy(place, message->bytes, (size_t)message->converted);
-    } else {
-        program->run(program->words, program->literals, message->bytes, message->size, (unsigned char *)place, 1);
+        return true;
     }
+    int64_t written = program->run(program->words, program->literals, message->bytes, message->size, (unsigned char *)place,
+                                   message->converted);
+    return written >= 0 && (written & ~program->dirty) == message->converted;
 }
 
 static inline int64_t nanoseconds(clockid_t clock)

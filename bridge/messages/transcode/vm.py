@@ -2,8 +2,9 @@
 
 One interpreter serves every type, so that no type needs compiling and the first message is as fast as the last. The
 program runs twice over each message: first without a target, to check the message and measure its converted form, and
-then into a buffer of the measured size. Every read is checked against the message's end;
-`bridge.messages.transcode.opcodes` has already verified that the program uses only its own memory.
+then into a buffer of the measured size. Every read is checked against the message's end, and every write against the
+buffer's, since a message in memory that another process shares may change between the two. `opcodes` in
+`bridge.messages.transcode` has already verified that the program uses only its own memory.
 
 ``i`` and ``o`` are positions in the message and in its converted form. ``in_mask`` (of the message) and ``out_mask``
 (of its converted form) are 7 for CDR, and 0 for the ROS 1 serialization, which has no alignment. In compiled code
@@ -265,7 +266,7 @@ def _run(
     source: cython.p_const_uchar,  # the message
     size: cython.longlong,  # its length in bytes
     target: cython.p_uchar,  # buffer for the converted message
-    write: cython.bint,  # whether to write; otherwise the message is checked and the size measured
+    room: cython.longlong,  # its length in bytes; 0: the message is checked and the size measured
 ) -> cython.longlong:
     """Run a program over one message. This is one long function, so that its state stays in the processor's registers.
 
@@ -281,7 +282,8 @@ def _run(
     out_mask: cython.longlong = 7 * to_cdr
     i: cython.longlong = 4 * from_cdr
     o: cython.longlong = 4 * to_cdr
-    most: cython.longlong = _MAX_MESSAGE + o
+    write: cython.bint = room > 0
+    most: cython.longlong = room if write else _MAX_MESSAGE + o
     fuel: cython.longlong = size - i + _EMPTY_ELEMENTS
     pc: cython.longlong = 0
     depth: cython.longlong = 0
@@ -291,6 +293,8 @@ def _run(
     cython.declare(bound=cython.longlong, count=cython.longlong, start=cython.longlong, characters=cython.longlong)
     if from_cdr and (size < 4 or _load8(source, 0) != 0 or _load8(source, 1) != 1):
         return _fault(_ENCAPSULATION, 0, 0)
+    if o > most:
+        return _fault(_TOO_LARGE, 0, 0)
     if to_cdr and write:
         _store32(target, 0, 256)
     while True:
@@ -301,6 +305,8 @@ def _run(
             if i + length > size:
                 return _fault(_TRUNCATED, min(i, size), pc)
             if code != _SKIP:
+                if _aligned(o, mask & out_mask) + length > most:
+                    return _fault(_TOO_LARGE, i, pc)
                 o = _pad(target, o, mask & out_mask, write)
                 if code == _BOOL:
                     dirty |= _flags(source, i, target, o, length, write)
@@ -318,6 +324,8 @@ def _run(
                 i += 4
                 if count * 4 > size - i:
                     return _fault(_TRUNCATED, i - 4, pc)
+                if _aligned(o, out_mask & 3) + 4 > most:
+                    return _fault(_TOO_LARGE, i, pc)
                 o = _write_count(target, o, out_mask, count, write)
                 bound = length
             for _ in range(count):
@@ -330,6 +338,8 @@ def _run(
                 i = start + _load32(source, i)
                 dirty |= from_cdr * (i == start)
                 if code != _SKIP_STRING:
+                    if _aligned(o, out_mask & 3) + 4 + characters + to_cdr > most:
+                        return _fault(_TOO_LARGE, min(i, size), pc)
                     o = _write_string(source, start, target, o, out_mask, characters, write)
         elif code in (_SEQUENCE, _BOOLS, _SKIP_SEQUENCE):
             i = _aligned(i, in_mask & 3)
@@ -339,6 +349,8 @@ def _run(
             start = i
             i += 4
             if code != _SKIP_SEQUENCE:
+                if _aligned(o, out_mask & 3) + 4 > most:
+                    return _fault(_TOO_LARGE, i, pc)
                 o = _write_count(target, o, out_mask, count, write)
             if count == 0:
                 slack += 4 * (mask == 7)  # rclpy adds padding before the elements even if there are none
@@ -347,6 +359,8 @@ def _run(
                 if count * length > size - i:
                     return _fault(_TRUNCATED, start, pc)
                 if code != _SKIP_SEQUENCE:
+                    if _aligned(o, mask & out_mask) + count * length > most:
+                        return _fault(_TOO_LARGE, i, pc)
                     o = _pad(target, o, mask & out_mask, write)
                     if code == _BOOLS:
                         dirty |= _flags(source, i, target, o, count, write)
@@ -364,6 +378,8 @@ def _run(
                     return _fault(-count, min(i, size), pc)
                 i += 4
                 if code == _LOOP:
+                    if _aligned(o, out_mask & 3) + 4 > most:
+                        return _fault(_TOO_LARGE, i, pc)
                     o = _write_count(target, o, out_mask, count, write)
             if length > 0 and count * length > size - i:
                 return _fault(_TRUNCATED, start, pc)
@@ -377,21 +393,18 @@ def _run(
             counters[depth] = count
             depth += 1
         elif code == _NEXT:
-            if o > most:
-                return _fault(_TOO_LARGE, i, pc)
             counters[depth - 1] -= 1
             if counters[depth - 1] > 0:
                 pc = words[at + 4]
                 continue
             depth -= 1
-        elif code == _ZERO:
+        elif code in (_ZERO, _LITERAL):
+            if _aligned(o, mask & out_mask) + length > most:
+                return _fault(_TOO_LARGE, i, pc)
             o = _pad(target, o, mask & out_mask, write)
-            if write:
+            if write and code == _ZERO:
                 _clear(target, o, length)
-            o += length
-        elif code == _LITERAL:
-            o = _pad(target, o, mask & out_mask, write)
-            if write:
+            elif write:
                 _copy(literals, words[at + 4], target, o, length)
             o += length
         elif code == _MARK:
@@ -403,8 +416,6 @@ def _run(
         pc += 1
     if i != size and (from_cdr == 0 or size - i > 7 + slack):
         return _fault(_TRAILING, i, pc)
-    if o > most:
-        return _fault(_TOO_LARGE, i, pc)
     return o | (_DIRTY * dirty)
 
 
@@ -460,7 +471,7 @@ class VirtualMachine:
     @cython.cfunc
     def _measure(self, message: bytes) -> cython.longlong:
         """Check a message; return the size of its converted form, with `opcodes.DIRTY` set if the message is dirty."""
-        size: cython.longlong = _run(_words(self._words), self._literals, message, len(message), cython.NULL, False)
+        size: cython.longlong = _run(_words(self._words), self._literals, message, len(message), cython.NULL, 0)
         if size < 0:
             raise self._refuse(size)
         return size
@@ -479,10 +490,11 @@ class VirtualMachine:
         else:
             result = target = bytearray(size)
         if length < _LARGE:
-            written = _run(program, literals, source, length, target, True)
+            written = _run(program, literals, source, length, target, size)
         else:
             with cython.nogil:
-                written = _run(program, literals, source, length, target, True)
+                written = _run(program, literals, source, length, target, size)
         if written & ~_DIRTY != size:
-            raise SystemError(f"a conversion measured as {size} bytes wrote {written} bytes")
+            wrote: object = written & ~_DIRTY if written >= 0 else "more"
+            raise SystemError(f"a conversion measured as {size} bytes wrote {wrote} bytes")
         return result if cython.compiled else bytes(result)

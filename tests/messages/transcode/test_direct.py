@@ -127,3 +127,36 @@ def test_sizes_beyond_a_buffer_are_refused(registry: Registry) -> None:
                 buffers.converted(program, cdr, number, claims)
     with pytest.raises(TypeError, match="read-write"):
         buffers.write_to(None, cdr, 1, True, cdr)
+
+
+@pytest.mark.parametrize("name", TYPES)
+def test_a_message_that_changes_after_it_was_measured_stays_within_its_place(name: str, registry: Registry) -> None:
+    """The memory of a message may be shared with another process, which may write to it at any time."""
+    dice = random.Random(7)
+    refused = 0
+    for program, good in programs(registry, name):
+        machine = make_vm(program)
+        native = native_program(machine.check if program.source_cdr and program.target_cdr else machine.convert)
+        for _ in range(ROUNDS):
+            measured, changed = buffers.measured(native, damaged(good, dice)), damaged(good, dice)
+            if measured is None:
+                continue
+            place = bytearray(b"x" * (4 * len(good) + 8192))
+            try:
+                buffers.write_to(native, changed, *measured, memoryview(place)[8:])
+            except ValueError:
+                refused += 1
+            assert set(place[:8] + place[8 + measured[0] :]) == {ord("x")}
+    assert refused > 10
+
+
+def test_a_message_that_changes_after_it_was_measured_is_refused(registry: Registry) -> None:
+    (_, (to_ros1, cdr), _) = programs(registry, "std_msgs/msg/Bool")
+    native = native_program(make_vm(to_ros1).convert)
+    measured = buffers.measured(native, cdr)
+    assert measured is not None
+    for changed in (b"", cdr + bytes(8)):
+        with pytest.raises(ValueError, match="the message changed while it was converted"):
+            buffers.converted(native, changed, *measured)
+        with pytest.raises(ValueError, match="the message changed while it was converted"):
+            buffers.write_to(native, changed, *measured, bytearray(100))
