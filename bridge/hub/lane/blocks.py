@@ -56,8 +56,8 @@ class Block:
 
     __slots__ = ("_memory", "file", "lost", "number", "since", "size", "users")
 
-    def __init__(self, number: int) -> None:
-        """Create an empty file; raises `OSError`."""
+    def __init__(self, number: int, size: int) -> None:
+        """Create an empty file, which will `grow` to ``size`` bytes; raises `OSError`."""
         import fcntl  # which Windows lacks
 
         self.number = number
@@ -67,7 +67,7 @@ class Block:
         except OSError:
             os.close(self.file)
             raise
-        self.size, self.users, self.lost, self.since = 0, 1, False, 0.0
+        self.size, self.users, self.lost, self.since = size, 1, False, 0.0
         self._memory: mmap.mmap | None = None
 
     def grow(self) -> None:
@@ -89,6 +89,9 @@ class Block:
 
 class Blocks:
     """The blocks of one session. Safe to use from any thread.
+
+    The lock is held only for a moment, because a thread may also have the lock of a link, for which commands wait:
+    returning the memory of a large block takes milliseconds.
 
     Args:
         later: calls a function after some seconds.
@@ -118,15 +121,39 @@ class Blocks:
 
     def reserve(self, size: int) -> Block | None:
         """Return a block with room for ``size`` bytes, for the caller to `release`; None without memory for it."""
-        block = self._take(size) if POSSIBLE else None
-        if block is None:
-            return None
+        outdated: list[Block] = []
+        with self._lock:
+            block = self._pop_fitting(size)
+            growth = max(0, size - (0 if block is None else block.size))
+            while self._free and not self._has_room(growth, block):
+                outdated.append(self._remove(self._free.pop()))
+            possible = POSSIBLE and not self._closed and self._has_room(growth, block)
+            if possible:
+                self._size += growth
+                self._count += block is None
+            if possible and block is not None:
+                block.size += growth
+                block.users = 1
+            elif block is not None:
+                outdated.append(self._remove(block))
+        for other in outdated:
+            other.close()
+        return self._grown(block, size) if possible else None
+
+    def _grown(self, block: Block | None, size: int) -> Block | None:
+        """Return a block, or a new one, after it has grown; None without memory for it."""
         try:
+            if block is None:
+                block = Block(next(self._numbers) & 0xFFFF_FFFF, size)
             block.grow()
         except OSError as err:
             _log.debug("a message of %d bytes is sent in parts: %s", size, err.strerror)
-            self.release(block, lost=True)
-            return None
+            if block is not None:
+                self.release(block, lost=True)
+                return None
+            with self._lock:
+                self._size -= size
+                self._count -= 1
         return block
 
     def share(self, block: Block) -> None:
@@ -141,58 +168,45 @@ class Blocks:
             block.lost = block.lost or lost
             if block.users:
                 return
-            if block.lost or self._closed:
-                self._discard(block)
-                return
-            block.since = time.monotonic()
-            self._free.append(block)
-            trims, self._trims = self._trims, True
-        if not trims:
+            outdated, trims = block.lost or self._closed, self._trims
+            if outdated:
+                self._remove(block)
+            else:
+                block.since = time.monotonic()
+                self._free.append(block)
+                self._trims = True
+        if outdated:
+            block.close()
+        elif not trims:
             self._later(IDLE_SECONDS, self._trim)
 
     def close(self) -> None:
         """Return the memory of all blocks, as soon as nothing uses them. Safe to call twice."""
         with self._lock:
             self._closed = True
-            while self._free:
-                self._discard(self._free.pop())
+            unused, self._free = [self._remove(block) for block in self._free], []
+        for block in unused:
+            block.close()
 
-    def _take(self, size: int) -> Block | None:
-        """Return a block that may have to `grow` to its size; None if all blocks would be too large."""
-        with self._lock:
-            fitting = [block for block in self._free if block.size <= max(_EXCESS * size, _SMALL)]
-            # of equal ones the last used, which the processor's cache may still contain
-            block = min(reversed(fitting), key=lambda block: (block.size < size, block.size), default=None)
-            if block is not None:
-                self._free.remove(block)
-            growth = max(0, size - (0 if block is None else block.size))
-            while self._free and not self._has_room(growth, block):
-                self._discard(self._free.pop())
-            if self._closed or not self._has_room(growth, block):
-                if block is not None:
-                    self._discard(block)
-                return None
-            if block is None:
-                try:
-                    block = Block(next(self._numbers) & 0xFFFF_FFFF)
-                except OSError as err:
-                    _log.debug("a message of %d bytes is sent in parts: %s", size, err.strerror)
-                    return None
-                self._count += 1
-            self._size += growth
-            block.size += growth
-            block.users = 1
-            return block
+    def _pop_fitting(self, size: int) -> Block | None:
+        """Return a free block that may have to `grow` to its size; None if all would be too large."""
+        fitting = [block for block in self._free if block.size <= max(_EXCESS * size, _SMALL)]
+        # of equal ones the last used, which the processor's cache may still contain
+        block = min(reversed(fitting), key=lambda block: (block.size < size, block.size), default=None)
+        if block is not None:
+            self._free.remove(block)
+        return block
 
     def _has_room(self, growth: int, block: Block | None) -> bool:
         """Return whether a block, or a new one (None), may have a number of bytes more than now."""
         others = self._size - (0 if block is None else block.size)
         return (self._size + growth <= MAX_BYTES or not others) and (block is not None or self._count < MAX_BLOCKS)
 
-    def _discard(self, block: Block) -> None:
+    def _remove(self, block: Block) -> Block:
+        """Count a block no longer; the caller closes it without the lock."""
         self._size -= block.size
         self._count -= 1
-        block.close()
+        return block
 
     def _trim(self) -> None:
         """Return the memory of blocks that nothing has used for some time."""
@@ -201,8 +215,10 @@ class Blocks:
             idle = [block for block in self._free if block.since <= due]
             self._free = [block for block in self._free if block.since > due]
             for block in idle:
-                self._discard(block)
+                self._remove(block)
             self._trims = again = bool(self._free)
+        for block in idle:
+            block.close()
         if again:
             self._later(IDLE_SECONDS, self._trim)
 

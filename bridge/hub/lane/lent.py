@@ -65,11 +65,13 @@ class Mapped:
         return memoryview(memory)[:size]
 
     def _keep(self, number: int, memory: mmap.mmap) -> None:
+        outdated: list[mmap.mmap] = []  # unmapped without the lock, as that may take milliseconds
         with self._lock:
             self._blocks[number] = memory, time.monotonic()
             mapped = sum(len(other) for other, _ in self._blocks.values())
             while len(self._blocks) > 1 and (mapped > MAX_MAPPED or len(self._blocks) > MAX_MAPPINGS):
                 oldest, _ = self._blocks.pop(next(iter(self._blocks)))
+                outdated.append(oldest)
                 mapped -= len(oldest)
             trims, self._trims = self._trims, True
         if not trims:
@@ -78,27 +80,30 @@ class Mapped:
     def _trim(self) -> None:
         """Unmap the blocks that have not been used for some time, whose memory the writer may have returned."""
         with self._lock:
-            due = time.monotonic() - IDLE_SECONDS
-            self._blocks = {n: (memory, since) for n, (memory, since) in self._blocks.items() if since > due}
+            due, before = time.monotonic() - IDLE_SECONDS, self._blocks
+            self._blocks = {number: block for number, block in before.items() if block[1] > due}
             self._trims = again = bool(self._blocks)
+        del before  # unmaps the others, without the lock
         if again:
             self._later(IDLE_SECONDS, self._trim)
 
     def close(self) -> None:
         """Unmap all blocks, as soon as no message is used. Safe to call twice."""
         with self._lock:
-            self._blocks.clear()
+            before, self._blocks = self._blocks, {}
+        before.clear()
 
 
 def _map(file: int, size: int) -> mmap.mmap | None:
-    """Map a block that has all of a message and cannot shrink; None if that is impossible."""
+    """Map a block that has memory for all of a message and cannot shrink; None if that is impossible."""
     if not POSSIBLE:
         return None
     import fcntl  # which Windows lacks
 
     try:
-        whole = os.fstat(file).st_size
-        if whole < size or not fcntl.fcntl(file, fcntl.F_GET_SEALS) & fcntl.F_SEAL_SHRINK:
+        status = os.fstat(file)
+        whole, memory = status.st_size, status.st_blocks * 512
+        if min(whole, memory) < size or not fcntl.fcntl(file, fcntl.F_GET_SEALS) & fcntl.F_SEAL_SHRINK:
             return None
         return mmap.mmap(file, whole, mmap.MAP_SHARED, mmap.PROT_READ)
     except (OSError, ValueError) as err:

@@ -11,7 +11,9 @@ MAX_LENT = 64 << 20
 """Maximum number of bytes lent to one reader, except for a single message; further ones are sent in parts."""
 
 
-class _Loan(NamedTuple, Generic[Queue]):
+class Loan(NamedTuple, Generic[Queue]):
+    """A message of a key that is lent, in a block."""
+
     queue: Queue
     block: Block
     size: int
@@ -26,7 +28,7 @@ class Loans(Generic[Queue]):
 
     def __init__(self, blocks: Blocks) -> None:
         self._blocks = blocks
-        self._loans: dict[int, _Loan[Queue]] = {}
+        self._loans: dict[int, Loan[Queue]] = {}
         self._bytes = 0
         self.next = 1
 
@@ -37,20 +39,18 @@ class Loans(Generic[Queue]):
     def begin(self, queue: Queue, block: Block, size: int) -> None:
         """Note that the next loan, a message of the given queue, was sent."""
         self._blocks.share(block)
-        self._loans[self.next] = _Loan(queue, block, size)
+        self._loans[self.next] = Loan(queue, block, size)
         self.next = self.next % 0xFFFF_FFFF + 1
         self._bytes += size
         queue.loans += 1
 
-    def end(self, number: int) -> Queue | None:
-        """End a loan that the reader has returned; return the key's queue, None if the loan is unknown."""
+    def end(self, number: int) -> Loan[Queue] | None:
+        """End a loan that the reader has returned, whose block the caller releases; None if the loan is unknown."""
         loan = self._loans.pop(number, None)
-        if loan is None:
-            return None
-        self._bytes -= loan.size
-        loan.queue.loans -= 1
-        self._blocks.release(loan.block)
-        return loan.queue
+        if loan is not None:
+            self._bytes -= loan.size
+            loan.queue.loans -= 1
+        return loan
 
     def lose(self) -> None:
         """End all loans, because the connection has ended; the reader may still read the blocks."""

@@ -185,11 +185,13 @@ class ReaderLink:
     def on_free(self, number: int) -> None:
         """End a loan, and send the messages that waited for it."""
         with self._lock:
-            outlet = self._loans.end(number)
-            if outlet is None or not self._queues.update(outlet):
-                return
+            loan = self._loans.end(number)
+            due = loan is not None and self._queues.update(loan.queue)
             self._settle()
-        self.flush()
+        if loan is not None:
+            self._blocks.release(loan.block)  # without the lock: this may return the block's memory to the system
+        if due:
+            self.flush()
 
     def drop_queue(self, outlet: Outlet) -> None:
         """Drop the queue of a key that the reader released."""

@@ -244,6 +244,37 @@ def test_idle_blocks_are_returned(blocks: Blocks, later: Later, monkeypatch: pyt
     assert (blocks.size, later.calls) == (0, [])
 
 
+def test_memory_is_returned_without_the_lock(blocks: Blocks, later: Later, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It takes 10 ms for 64 MB. A thread that waits for it may have the lock of a link, for which commands wait."""
+    close, locked = module.Block.close, list[bool]()
+
+    def record(block: module.Block) -> None:
+        locked.append(blocks._lock.locked())
+        close(block)
+
+    monkeypatch.setattr(module.Block, "close", record)
+    monkeypatch.setattr(module, "MAX_BYTES", 2 * MB)
+    now = 1000.0
+    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now))
+    for message in [stored(blocks, bytes(MB)) for _ in range(2)]:
+        message.release()
+    message = stored(blocks, bytes(2 * MB))
+    assert locked == [False], "another block makes room"
+    message.release()
+    now += IDLE_SECONDS
+    later.run()
+    assert locked == [False] * 2, "an idle block is returned"
+    message = stored(blocks, b"lost")
+    assert message.block is not None
+    blocks.share(message.block)
+    blocks.release(message.block, lost=True)
+    message.release()
+    assert locked == [False] * 3, "a reader was lost"
+    stored(blocks, b"last").release()
+    blocks.close()
+    assert locked == [False] * 4, "the session ends"
+
+
 def test_without_memory_or_descriptors_no_block_is_made(blocks: Blocks, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> int:
         raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))

@@ -7,6 +7,7 @@ import fcntl
 import gc
 import mmap
 import os
+import weakref
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 
@@ -96,6 +97,13 @@ def test_a_block_that_could_shrink_is_copied(writer: Writer, mapped: Mapped) -> 
     assert (view, mapped.size) == (b"payload", 0)
 
 
+def test_a_block_that_may_have_no_memory_is_copied(writer: Writer, mapped: Mapped) -> None:
+    """Without memory for a page, an access to a mapping would end the process with SIGBUS."""
+    file = writer.block(b"")
+    os.ftruncate(file, 1000 * KB)
+    assert (mapped.view(1, file, 7), mapped.size) == (bytes(7), 0)
+
+
 def test_without_memory_for_a_mapping_a_block_is_copied(
     writer: Writer, mapped: Mapped, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -163,6 +171,25 @@ def test_idle_blocks_are_unmapped(
     now += IDLE_SECONDS
     later.run()
     assert (mapped.size, later.calls) == (0, [])
+
+
+def test_memory_is_unmapped_without_the_lock(
+    writer: Writer, mapped: Mapped, later: Later, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It takes milliseconds for a large block, while the lane's thread may wait for the lock."""
+    locked: list[bool] = []
+    now = 1000.0
+    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now))
+    monkeypatch.setattr(module, "MAX_MAPPINGS", 1)
+    for number in (1, 2):
+        view = mapped.view(number, writer.block(b"payload"), 7)
+        assert isinstance(view, memoryview)
+        weakref.finalize(view.obj, lambda: locked.append(mapped._lock.locked()))
+        del view
+    assert locked == [False], "a newer block takes the place"
+    now += 2 * IDLE_SECONDS
+    later.run()
+    assert locked == [False] * 2, "an idle block is unmapped"
 
 
 def lent(content: bytes, give_back: Callable[[], None]) -> LentPayload:

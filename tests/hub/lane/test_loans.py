@@ -11,7 +11,7 @@ from typing import NamedTuple
 import pytest
 
 from bridge.hub.lane import loans as module
-from bridge.hub.lane.blocks import Blocks, StoredMessage
+from bridge.hub.lane.blocks import Block, Blocks, StoredMessage
 from bridge.hub.lane.outlet import Outlet, ReaderLink
 from bridge.hub.lane.queues import MAX_LOANS
 from bridge.hub.lane.wire import BLOCK, BODY, BOUND, DATA, FENCE, HEAD, LOAN, PART, ROOM, SAMPLE, TOKEN
@@ -173,6 +173,24 @@ def test_a_command_does_not_wait_for_the_copy_of_a_large_message(
     monkeypatch.setattr(StoredMessage, "to_bytes", copy)
     lender.send(MAX_LOANS + 1)
     assert (lender.numbers(), len(lender.images.queue)) == ([1], 1)
+
+
+def test_a_command_does_not_wait_until_a_returned_block_is_free(
+    lender: Lender, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The block's memory may have to be returned to the system, because another reader was lost."""
+    release, locked = Blocks.release, list[bool]()
+
+    def record(blocks: Blocks, block: Block) -> None:
+        locked.append(lender.link._lock.locked())
+        release(blocks, block)
+
+    lender.send(1)
+    (lent,) = lender.read()
+    with monkeypatch.context() as patch:
+        patch.setattr(Blocks, "release", record)
+        lender.link.on_free(lent.loan)
+    assert locked == [False]
 
 
 @pytest.mark.parametrize("queued", [False, True])
