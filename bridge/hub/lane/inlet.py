@@ -171,6 +171,8 @@ class Inlet:
         while True:
             record, files, _, _ = socket.recv_fds(self._sock, ROOM, 1, socket.MSG_CMSG_CLOEXEC)
             if not record:
+                for file in files:
+                    os.close(file)
                 return
             if record[0] == DATA and not files:
                 self._messages(record)
@@ -179,13 +181,13 @@ class Inlet:
 
     def _record(self, record: bytes, file: int) -> None:
         """Handle a record without messages, and the file that came with it; -1 if there is none."""
-        kind, number = HEAD.unpack_from(record)
-        key = self._numbers.get(number)
         try:
+            kind, number = HEAD.unpack_from(record)
             payload = self._lent(record, file) if kind == BLOCK else None
         finally:
             if file >= 0:
                 os.close(file)
+        key = self._numbers.get(number)
         if key is not None:
             self.answered = True
             if payload is not None:
@@ -199,6 +201,8 @@ class Inlet:
         Raises `OSError` if this process had no descriptor left. Then the lane ends, so that zenoh carries the messages.
         """
         size, loan, block = LOAN.unpack_from(record, BODY)
+        if size > MAX_PAYLOAD:
+            raise HubWireError(f"a block has a message of {size} bytes, the limit is {MAX_PAYLOAD}")
         give_back = partial(self._send, HEAD.pack(FREE, loan))
         view = self._mapped.view(block, file, size)
         if isinstance(view, memoryview):
@@ -248,12 +252,15 @@ class Inlet:
         sequence, gid = message[0], message[2]
         whole, at = PIECE.unpack_from(record, BODY)
         piece = record[BODY + PIECE.size :]
-        if at == 0 and whole <= MAX_PAYLOAD:
+        if at == 0:
             key.parts[gid] = (sequence, bytearray())
         number, data = key.parts.get(gid, (0, bytearray()))
         if number != sequence or len(data) != at:  # the beginning was dropped
             return
+        if at + len(piece) > whole or whole > MAX_PAYLOAD:
+            del key.parts[gid]
+            return
         data += piece
-        if len(data) >= whole:
+        if len(data) == whole:
             del key.parts[gid]
             self._hand(key, message, bytes(data))

@@ -13,6 +13,7 @@
 #ifndef _WIN32 /* Windows has no lanes */
 #include <errno.h>
 #include <sys/socket.h>
+#include <unistd.h>
 #include "../../turn.h"
 
 #ifndef MSG_CMSG_CLOEXEC /* macOS, which has no lanes */
@@ -279,7 +280,7 @@ static ssize_t receive_record(int socket, char *buffer, size_t room, int *file)
     Py_BEGIN_ALLOW_THREADS
     do {
         message = (struct msghdr){.msg_iov = &into, .msg_iovlen = 1, .msg_control = &control};
-        message.msg_controllen = sizeof control;
+        message.msg_controllen = CMSG_LEN(sizeof(int)); /* for one file; the system closes further ones */
         length = recvmsg(socket, &message, MSG_CMSG_CLOEXEC);
     } while (length < 0 && errno == EINTR);
     Py_END_ALLOW_THREADS
@@ -310,6 +311,8 @@ static int read_records(int socket, char *buffer, size_t room, PyObject *receive
     }
     if (length < 0) {
         PyErr_SetFromErrno(PyExc_OSError);
+    } else if (file >= 0) {
+        close(file);
     }
     return (int)length;
 }
