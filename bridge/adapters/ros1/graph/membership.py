@@ -6,7 +6,7 @@ import logging
 import os
 import re
 
-from bridge.adapters.ros1.graph.presence import Ledger, NodeEntry, is_alive, others, pid_of, removal_calls
+from bridge.adapters.ros1.graph.presence import Ledger, NodeEntry, others, pid_of, pids_of, removal_calls
 from bridge.adapters.ros1.graph.registrations import batches
 from bridge.adapters.ros1.graph.sim_time import SimTime
 from bridge.adapters.ros1.graph.state import NAMESPACE, MasterReader, MasterState
@@ -44,7 +44,9 @@ class Membership:
     def join(self, state: MasterState) -> None:
         """Join the network of a master with this state: remove dead predecessors, choose a name, and set the entry."""
         entry = self.entry()
-        dead = [e for e in self._ledger.predecessors(state, entry) if not is_alive(entry.node, e)]
+        predecessors = self._ledger.predecessors(state, entry)
+        pids = pids_of(entry.node, {e.uri for e in predecessors})
+        dead = [e for e in predecessors if pids[e.uri] != e.pid]
         for batch in batches(removal_calls(state, dead)):
             self._client.calls(batch)
         dead_uris = {e.uri for e in dead}
@@ -100,10 +102,13 @@ class Membership:
         """Return this node's name, or a variant if a live node has it, as the master would shut that node down."""
         first = self._node.name
         second = f"{first}_{re.sub(r'[^A-Za-z0-9_]', '_', self._daemon)}"
+        entries = [e for e in map(NodeEntry.parse, state.presence.values()) if e is not None]
+        holders: dict[str, set[str]] = {}
         for name in (first, second, *(f"{second}_{n}" for n in range(2, 2 + _SPARE_NAMES))):
-            entries = [NodeEntry.parse(entry) for entry in state.presence.values()]
-            uris = {state.uris.get(name), *(e.uri for e in entries if e is not None and e.node == name)}
-            holders = {u for u in uris if u and u != self._node.uri and u not in dead}
-            if not any(self.responds(holder) for holder in holders):
-                return name
-        return f"{second}_{os.getpid()}"
+            uris = {state.uris.get(name, ""), *(e.uri for e in entries if e.node == name)}
+            holders[name] = uris - {"", self._node.uri} - dead
+        if not holders[first]:
+            return first
+        pids = pids_of(first, set().union(*holders.values()))
+        free = (name for name, uris in holders.items() if all(pids[uri] is None for uri in uris))
+        return next(free, f"{second}_{os.getpid()}")

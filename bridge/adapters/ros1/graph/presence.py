@@ -21,7 +21,7 @@ import struct
 import threading
 import time
 import uuid
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import as_completed
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -116,6 +116,19 @@ def any_alive(caller: str, entries: Iterable[NodeEntry], seconds: float) -> bool
         return any(not call.cancelled() and call.result() for call in as_completed(calls, seconds))
     except TimeoutError:
         return False
+    finally:
+        pool.close()
+
+
+def pids_of(caller: str, uris: Collection[str]) -> dict[str, int | None]:
+    """Return `pid_of` for each URI. All nodes are called at the same time, because their hosts may be off."""
+    if len(uris) < 2:
+        return {uri: pid_of(caller, uri) for uri in uris}
+    pool = WorkerPool(_MAX_LINKS, "midspan-ros1-alive")
+    try:
+        calls = {uri: pool.submit(partial(pid_of, caller, uri)) for uri in uris}
+        # a call is cancelled if the system is out of threads
+        return {uri: pid_of(caller, uri) if call.cancelled() else call.result() for uri, call in calls.items()}
     finally:
         pool.close()
 

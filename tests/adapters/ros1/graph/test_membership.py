@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import threading
 from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
@@ -64,6 +66,29 @@ def test_a_predecessor_is_alive_if_it_is_the_same_process(
 ) -> None:
     answer(monkeypatch, answers)
     assert is_alive("/midspan", HOLDER) is alive
+
+
+def test_nodes_on_hosts_that_are_off_are_called_at_the_same_time(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Each call lasts a second without an answer."""
+    (tmp_path / "ros1.json").write_text(json.dumps({"owner": "owner"}), encoding="utf-8")
+    earlier = [NodeEntry("owner", "second", f"/earlier{n}", f"http://off:{n}/", n) for n in range(1, 4)]
+    names = ["/midspan", "/midspan_second", "/midspan_second_2"]
+    holders = {name: f"http://off:{n}/" for n, name in enumerate(names, 11)}
+    state = MasterState("run", "network", uris=holders, presence={e.key: e.as_dict() for e in earlier})
+    called = threading.Barrier(3)
+
+    def ask(_uri: str, _seconds: float, _method: str, *_params: object) -> int:
+        called.wait(20.0)
+        return 99
+
+    monkeypatch.setattr(presence, "ask", ask)
+    node: Any = SimpleNamespace(name="/midspan", uri="http://own:2/", port=2)
+    client: Any = SimpleNamespace(calls=lambda _calls: [None] * 2)
+    reader: Any = SimpleNamespace(read=lambda: MasterState("run", "network"))
+    Membership(node, "second", Ledger(tmp_path), client, reader, simulated=False).join(state)
+    assert node.name == "/midspan_second_3"
 
 
 def test_a_process_without_descriptors_decides_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
