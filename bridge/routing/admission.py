@@ -14,6 +14,11 @@ from bridge.routing.stall import AgeGate, StallDetector
 _log = logging.getLogger(__name__)
 
 
+def carries_commands(policy: RoutePolicy, topics: tuple[str, ...], type_name: str) -> bool:
+    """Return whether the messages of a topic with these names and this ROS 2 type are commands."""
+    return policy.class_of(topics, type_name, latched=False) is Priority.COMMAND
+
+
 class TopicAdmission:
     """The base of topics that are bridged (`bridge.routing.route`) or relayed (`bridge.routing.relay`).
 
@@ -42,7 +47,7 @@ class TopicAdmission:
     @property
     def commands(self) -> bool:
         """Whether its messages are commands."""
-        return self.priority_of(latched=False) is Priority.COMMAND
+        return carries_commands(self.policy, self._topics, self._type_name)
 
     def latches(self, qos: Qos) -> bool:
         """Return whether the messages of a publisher with this QoS are latched; commands never are."""

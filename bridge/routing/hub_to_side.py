@@ -16,6 +16,7 @@ from bridge.hub.wire.qos import Durability, Qos
 from bridge.messages.copies import copied
 from bridge.messages.errors import MessageError
 from bridge.messages.transcode.conversion import Conversion
+from bridge.routing.admission import carries_commands
 from bridge.routing.backlog import HeldMessage
 from bridge.routing.counters import LATENCY_BOUNDS
 from bridge.routing.decision import OWN_NETWORK, RouteDecision, RouteKey, hub_groups
@@ -442,23 +443,23 @@ class HubToSideTopics(RouteSet[tuple[RouteKey, str], HubToSideRoute]):
                     f"convert it with a rule: 'to: {edge.side}', 'stamped: {str('Stamped' in other).lower()}'",
                 )
                 return
-            route = HubToSideRoute(key, side_topic, endpoints[0][0].origin, conversion, policy, self._context)
-            if edge.one_queue and not self._share_topic(route, decision):
+            commands = carries_commands(policy, (key.topic, side_topic), conversion.source.name)
+            if edge.one_queue and not self._share_topic(side_topic, decision, commands=commands):
                 return
-            self._routes[out_key] = route
+            origin = endpoints[0][0].origin
+            route = self._routes[out_key] = HubToSideRoute(key, side_topic, origin, conversion, policy, self._context)
         live.add(out_key)
         route.attempt(lambda: route.update(*endpoints), decision)
 
-    def _share_topic(self, route: HubToSideRoute, decision: RouteDecision) -> bool:
+    def _share_topic(self, side_topic: str, decision: RouteDecision, *, commands: bool) -> bool:
         """Close the routes that the commands of a new route exclude from its topic; refuse it if it is excluded itself.
 
         Return whether the route may exist. Commands have precedence whichever came first: one of them may be a stop.
         """
-        others = [k for k, r in self._routes.items() if k[1] == route.side_topic and r.commands is not route.commands]
-        if others and not route.commands:
-            route.close()
+        others = [k for k, r in self._routes.items() if k[1] == side_topic and r.commands is not commands]
+        if others and not commands:
             decision.refuse(
-                f"{route.side_topic} has commands, which are not queued, so it cannot have other messages, too",
+                f"{side_topic} has commands, which are not queued, so it cannot have other messages, too",
                 "set `priority: command` in the rules of both topics, or rename one of the two",
             )
             return False

@@ -15,9 +15,11 @@ from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.errors import ConversionError
 from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry
-from bridge.routing.decision import RouteDecision
+from bridge.routing import hub_to_side
+from bridge.routing.decision import RouteDecision, RouteKey
 from bridge.routing.edge import Kind, MadeBy
 from bridge.routing.engine import Engine
+from bridge.routing.hub_to_side import HubToSideRoute
 from bridge.routing.velocities import unstamped, with_stamp
 from tests.peers.fake import FakeEdge, FakeNetwork, Reader
 from tests.peers.hub.network import HubNetwork
@@ -275,6 +277,23 @@ def test_a_rule_requests_no_latched_velocity_from_a_side(side: Side) -> None:
     publishers = until(lambda: side.far.graph.publishers(CMD_VEL), "the publisher is seen")
     assert [publisher.qos.latched for publisher in publishers] == [False]
     assert [route.counters.messages for route in side.engine.routes()] == [0], "the last velocity does not cross"
+
+
+def test_no_route_is_created_for_messages_that_commands_exclude(side: Side, monkeypatch: pytest.MonkeyPatch) -> None:
+    side.rules({"topic": "/recorded", "rename": CMD_VEL, "priority": "stream"})
+    side.program(TWIST)
+    until(side.engine.routes, "the commands have a route")
+    created = list[str]()
+
+    class Recorded(HubToSideRoute):
+        def __init__(self, key: RouteKey, *rest: Any) -> None:
+            created.append(key.topic)
+            super().__init__(key, *rest)
+
+    monkeypatch.setattr(hub_to_side, "HubToSideRoute", Recorded)
+    side.program(TWIST, "/recorded")
+    until(side.refused, "the other messages are refused")
+    assert created == []
 
 
 @pytest.mark.parametrize("first", ["commands", "others"])
