@@ -340,7 +340,11 @@ class SideToHubRoute(TopicRoute):
             convert = self.conversion.convert
             return payload if convert is None else convert(payload)
         stored = StoredMessage(blocks)
-        converted = self._direct.write(payload, stored.room)
+        try:
+            converted = self._direct.write(payload, stored.room)
+        except BaseException:
+            stored.release()
+            raise
         return stored if converted is None else converted
 
     @property

@@ -191,6 +191,22 @@ def test_a_refused_message_uses_no_block(crossing: Make, monkeypatch: pytest.Mon
     routes.cross("y" * BULK)
 
 
+def test_a_message_that_cannot_be_written_uses_no_block(crossing: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    routes = crossing(own_threads=True)
+    blocks = routes.on_lane()
+
+    def refuse(*_: object) -> None:
+        msg = "the message changed while it was converted"
+        raise ValueError(msg)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(direct, "buffers", SimpleNamespace(measured=direct.buffers.measured, write_to=refuse))
+        routes.to_hub.deliver(line("x" * (2 * BULK)), "a", None)
+    assert routes.to_hub.counters.drops["bad"] == 1
+    assert len(blocks._free) == 1, "the block is free"
+    routes.cross("y" * BULK)
+
+
 def test_a_message_that_cannot_be_queued_uses_no_block(crossing: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     routes = crossing()
     blocks = routes.on_lane()
