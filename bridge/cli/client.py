@@ -43,17 +43,18 @@ def config_file(args: argparse.Namespace) -> Path | None:
     return file
 
 
-def client_config(args: argparse.Namespace, *, stops: bool = False) -> Config:
+def client_config(args: argparse.Namespace, *, partly: bool = False) -> Config:
     """Return the configuration, overridden by the command line.
 
-    A broken file that the command line does not name is ignored, with a warning, if ``--router`` names the hub. A
-    command that ``stops`` the robot uses the valid parts of any broken file, because the daemon may run regardless.
+    A broken file that the command line does not name is ignored, with a warning, if ``--router`` names the hub.
+    ``partly``: use the valid parts of any broken file, because the daemon may run regardless; for commands that stop
+    the robot or show what runs.
     """
     try:
         config = named(load(args.config, client=True), os.environ, units.STATE)
     except ConfigError as err:
         file = config_file(args)
-        if stops and file is not None and file.exists():
+        if partly and file is not None and file.exists():
             config, how = named(load_partly(file), os.environ, units.STATE), "the rest of the file is used"
         elif args.config is None and args.router is not None:
             config, how = Config(), "the file is ignored, because --router names the hub"
@@ -71,16 +72,16 @@ def client_config(args: argparse.Namespace, *, stops: bool = False) -> Config:
 
 @contextmanager
 def open_client(
-    args: argparse.Namespace, *, warn: bool = True, watches: bool = False, stops: bool = False
+    args: argparse.Namespace, *, warn: bool = True, watches: bool = False, config: Config | None = None
 ) -> Iterator[CliClient]:
     """Join the hub; raises `CliError` if no router answers.
 
     On the hub of this machine's daemon, it reports on stderr if only the daemon's router runs, and each error names the
     daemon's workers that do not run. ``warn`` is False for commands that report the daemon themselves, or have
     something more urgent to do. ``watches`` reports missing workers at once, for commands that would otherwise only
-    wait or print less. ``stops``: see `client_config`.
+    wait or print less. ``config``: by default that of `client_config`.
     """
-    config = client_config(args, stops=stops)
+    config = config or client_config(args)
     with _join_hub(args, config) as session:
         client = CliClient(session.hub, session.config, session.where, of_this_machine(args), config_file(args))
         reported = warn_of_daemon(args, config, workers=watches) if warn else []

@@ -39,6 +39,10 @@ _SETTLED_SECONDS = 30.0
 """A worker that has run for longer than this since its last crash counts as recovered."""
 
 
+RELOAD_CURE = "correct the file, then run 'midspan reload'"
+"""The cure for a refused reload."""
+
+
 class Life(Enum):
     """Whether a daemon runs."""
 
@@ -85,6 +89,12 @@ class DaemonState:
         silent = f"wait, or end process {self.pid} and start the daemon again: 'midspan run'"
         mixed = "use the commands of its release, or restart it with this release" if self.document.error else ""
         return {Life.DOWN: units.start_hint(self.unit), Life.SILENT: silent}.get(self.life, mixed)
+
+    @property
+    def refusal(self) -> str:
+        """Why the daemon refused its last reload, and uses its earlier configuration; "" if it did not."""
+        reason = self.document.refused
+        return f"it refused its last reload, and uses its earlier configuration: {reason}" if reason else ""
 
     @property
     def workers(self) -> list[WorkerReport]:

@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _gathered_context(args: argparse.Namespace) -> CheckContext:
     try:
-        config = client_config(args)
+        config = client_config(args, partly=of_this_machine(args))
     except (ConfigError, OSError) as err:
         hub = HubSnapshot("the hub was not queried: the configuration cannot be used")
         return CheckContext(config_text=str(err), config_good=False, environ=dict(os.environ), hub=hub)

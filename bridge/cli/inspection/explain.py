@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from bridge.cli.arguments import add_hub_arguments
-from bridge.cli.client import open_client
+from bridge.cli.client import client_config, of_this_machine, open_client
 from bridge.cli.output import CliError, print_json
 from bridge.client.graph import (
     Decision,
@@ -73,7 +73,8 @@ class Explanation:
 
 
 def run(args: argparse.Namespace) -> int:
-    with open_client(args) as client:
+    config = client_config(args, partly=of_this_machine(args))
+    with open_client(args, config=config) as client:
         explanation = explain(client, absolute(args.topic))
     if args.json:
         print_json(_as_json(explanation))

@@ -24,6 +24,7 @@ from bridge.display.documents import connected_lines, routes_table, skipped_line
 from bridge.doctor.causes import cause, grouped, one_line, shared
 from bridge.doctor.daemon_state import (
     ENABLED,
+    RELOAD_CURE,
     DaemonState,
     Life,
     absent,
@@ -56,12 +57,13 @@ def register_status(parser: argparse.ArgumentParser) -> None:
 def run_status(args: argparse.Namespace) -> int:
     """Show the status once; show a running daemon's workers even if the hub cannot be joined."""
     documents, refused, native = list[StatusDocument](), list[Refusal](), list[NativeNodes]()
-    state = daemon_state(client_config(args), file=config_file(args)) if of_this_machine(args) else DaemonState("")
+    config = client_config(args, partly=of_this_machine(args))
+    state = daemon_state(config, file=config_file(args)) if of_this_machine(args) else DaemonState("")
     silent = absent(state.document, looping=True)
     unreachable: ClientError | None = None
     joined = False
     try:
-        with open_client(args, warn=False) as client:
+        with open_client(args, warn=False, config=config) as client:
             joined = True
             documents = _ask_status(client)
             client.settle()
@@ -73,7 +75,7 @@ def run_status(args: argparse.Namespace) -> int:
         silent = absent(state.document, ENABLED, looping=True)
         unreachable = None if joined else err
     if state.life is Life.UNKNOWN and of_this_machine(args):
-        state = daemon_state(client_config(args), documents, config_file(args))
+        state = daemon_state(config, documents, config_file(args))
     documents = with_restarts(with_silent(documents, silent), state.document)
     documents += [*unanswered(state.document, documents), *without_node(state.document), *of_daemon(state)]
     documents.sort(key=lambda document: (document.daemon, document.worker != DAEMON))
@@ -100,9 +102,12 @@ def _ask_status(client: CliClient) -> list[StatusDocument]:
 
 
 def of_daemon(state: DaemonState) -> list[StatusDocument]:
-    """Return an entry like that of a worker for a daemon that does not run or does not answer."""
+    """Return an entry like that of a worker for a daemon that does not run or answer, or that refused a reload."""
     if not state.trouble:
-        return []
+        if not state.refusal:
+            return []
+        warning = f"{state.refusal}; {RELOAD_CURE}"
+        return [StatusDocument(daemon=state.name, worker=DAEMON, state="running", pid=state.pid, warnings=[warning])]
     text = f"{state.trouble}: {state.cure}"
     return [StatusDocument(daemon=state.name, worker=DAEMON, state=state.life.value, text=text, pid=state.pid)]
 
@@ -253,7 +258,8 @@ def run_top(args: argparse.Namespace) -> int:
     live = sys.stdout.isatty()
     once = args.once or (args.interval is None and not live)
     interval = args.interval or _INTERVAL
-    with open_client(args) as client, contextlib.suppress(KeyboardInterrupt):
+    config = client_config(args, partly=of_this_machine(args))
+    with open_client(args, config=config) as client, contextlib.suppress(KeyboardInterrupt):
         if live and not once and not args.json:
             _live(client, interval)
         else:

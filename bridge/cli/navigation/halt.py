@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from bridge.cli.arguments import add_hub_arguments, span
-from bridge.cli.client import open_client, warn_of_daemon, warn_of_refusals
+from bridge.cli.client import client_config, open_client, warn_of_daemon, warn_of_refusals
 from bridge.cli.output import CliError, print_json
 from bridge.client.halt import DEFAULT_SECONDS, GoalCancellation, halt
 from bridge.client.types import Types
@@ -33,7 +33,7 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Halt everything; return 1 if something did not answer."""
-    with open_client(args, warn=False, stops=True) as client:
+    with open_client(args, warn=False, config=client_config(args, partly=True)) as client:
         client.settle()
         result = halt(client, Types(client), args.seconds)
         refused = warn_of_refusals(client, result.published)

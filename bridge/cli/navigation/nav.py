@@ -7,7 +7,7 @@ import sys
 from typing import Any
 
 from bridge.cli.arguments import add_verb, add_verbs
-from bridge.cli.client import CliClient, open_client
+from bridge.cli.client import CliClient, client_config, open_client
 from bridge.cli.maps.show import add_drawing_arguments, draw
 from bridge.cli.navigation.gateway import gateway_caller, gateway_status, planner_away, published_status
 from bridge.cli.navigation.lifecycle import add_lifecycle_verbs
@@ -47,8 +47,8 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    stops = args.nav_verb in ("stop", "pause")
-    with open_client(args, warn=args.nav_verb != "stop", stops=stops) as client:
+    config = client_config(args, partly=args.nav_verb in ("stop", "pause", "status"))
+    with open_client(args, warn=args.nav_verb != "stop", config=config) as client:
         types = Types(client)
         if args.nav_verb == "status":
             return _status(client, types, args)

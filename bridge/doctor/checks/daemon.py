@@ -15,7 +15,7 @@ from bridge.descriptors import all_modules
 from bridge.doctor.causes import cause, grouped, shared
 from bridge.doctor.check import Finding, Findings, fail, ok, skip, warn
 from bridge.doctor.context import CheckContext
-from bridge.doctor.daemon_state import restarted
+from bridge.doctor.daemon_state import RELOAD_CURE, restarted
 from bridge.doctor.hub_problems import Note
 from bridge.hub import WORKER as ROUTER
 from bridge.registration import imported
@@ -28,10 +28,13 @@ _COMES = {phase.value for phase in (Phase.QUEUED, Phase.STARTING, Phase.PAUSED)}
 
 
 def check_config(context: CheckContext) -> Findings:
-    """Report the file's problems, and a hub that is open to other machines without TLS."""
+    """Report the file's problems, a refused reload, and a hub that is open to other machines without TLS."""
+    state = context.daemon
+    findings = [warn(f"the daemon {state.name}: {state.refusal}", RELOAD_CURE)] if state.refusal else []
     if not context.config_good:
-        return [fail(line, "correct it ('midspan config check')") for line in context.config_text.splitlines()]
-    findings = [ok(context.config_text)]
+        problems = context.config_text.splitlines()
+        return [*[fail(line, "correct it ('midspan config check')") for line in problems], *findings]
+    findings.insert(0, ok(context.config_text))
     listener = context.config.hub.open
     if listener.insecure:
         endpoints = ", ".join((*listener.listen, *listener.connect))
@@ -150,7 +153,9 @@ def _worker(context: CheckContext, document: StatusDocument, elsewhere: Containe
 def _waiting(context: CheckContext, document: StatusDocument, name: str) -> Finding:
     """Return a finding on a waiting worker: a side waits for its network, and a module reports what it waits for."""
     if not isinstance(document, ModuleStatus):
-        return warn(f"{name} waits: its network is unavailable", "see the checks of that side")
+        # the warning of several workers, which is a separate finding, may be the reason
+        cure = "" if document.warnings else "see the checks of that side"
+        return warn(f"{name} waits: its network is unavailable", cure)
     note = _cause(context, document)
     return warn(f"{name} waits: {document.text if note is None else note.text}", "" if note is None else note.cure)
 

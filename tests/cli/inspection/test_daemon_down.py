@@ -19,6 +19,8 @@ import pytest
 import yaml
 import zenoh
 
+from bridge.config.partial import load_partly
+from bridge.daemon.query import ask_daemon
 from tests.peers.daemon.robot_daemon import RobotDaemon
 from tests.support.ports import free_port
 from tests.support.wait import until
@@ -266,6 +268,35 @@ def test_a_configuration_that_the_daemon_has_not_loaded_is_reported(start: Start
         done = robot.command(*command)
         assert (done.returncode, "it has not loaded this configuration" in done.stderr) == (1, True), done
         assert "'midspan reload' makes it load its file again" in done.stderr
+
+
+@pytest.mark.parametrize("broken", ["clock: {source: simm}", "log: ["])
+def test_a_broken_file_does_not_hide_a_daemon_that_runs_regardless(start: Start, broken: str) -> None:
+    robot = start()
+    robot.until_phase("modules", "running")
+    good = robot.file.read_text()
+    robot.file.write_text(f"{good}{broken}\n")
+    assert robot.command("reload").returncode == 1
+    robot.daemon.signal(signal.SIGHUP)
+    refused = f"{robot.file}:"
+    until(lambda: refused in ask_daemon(load_partly(robot.file)).refused, "the daemon has refused the file", 20)
+    for words in (["status"], ["top", "--once"], ["explain", "/scan"], ["nav", "status"]):
+        done = robot.command(*words)
+        assert done.stderr.count("the rest of the file is used") == 1, done
+        assert "did you mean" in done.stderr or broken == "log: [", done
+    done = robot.command("status")
+    assert (done.returncode, "router   running" in done.stdout) == (0, True), done
+    assert "warning: it refused its last reload, and uses its earlier configuration: " in done.stdout
+    assert "then run 'midspan reload'" in done.stdout
+    done = robot.command("doctor", "--only", "config", "--only", "daemon")
+    assert "the hub was not queried" not in done.stdout
+    assert "start the daemon" not in done.stdout
+    assert "the daemon robot: it refused its last reload" in done.stdout
+    assert "robot/router is running" in done.stdout
+    robot.file.write_text(good)
+    assert "it refused its last reload" in robot.command("doctor", "--only", "config").stdout, "still the old one"
+    assert robot.command("reload").returncode == 0
+    assert "refused" not in robot.command("status").stdout + robot.command("doctor", "--only", "config").stdout
 
 
 def other_state(robot: RobotDaemon, folder: Path) -> None:
