@@ -24,6 +24,7 @@ from bridge.adapters.ros2.graph.announcements import Announcements
 from bridge.adapters.ros2.graph.graph import GraphSnapshot, Ros2Graph, is_hidden
 from bridge.adapters.ros2.graph.heartbeats import Heartbeats
 from bridge.adapters.ros2.graph.interfaces import InterfaceWatch, ipv4_addresses
+from bridge.adapters.ros2.graph.names import NamesakeWatch
 from bridge.adapters.ros2.graph.neighbors import ProcessWatch
 from bridge.adapters.ros2.graph.origins import Origins
 from bridge.adapters.ros2.graph.ports import PortWatch
@@ -96,6 +97,7 @@ class Ros2Edge(SideEdge):
         self._ports: PortWatch | None = None
         self._servers: ServerWatch | None = None
         self._drops: DropWatch | None = None
+        self._namesakes: NamesakeWatch | None = None
         self._context: Ros2Context | None = None
         self._origins: Origins | None = None
         self._presence: PresenceTopic | None = None
@@ -116,6 +118,7 @@ class Ros2Edge(SideEdge):
             major = current().fast_dds_major
             self._neighbors = neighbors.MemoryNeighbors(self._prefix, major, number, self._leave_shared_memory, later)
         self._drops = DropWatch(later)
+        self._namesakes = NamesakeWatch(self.endpoints, later)
         if not self._localhost_only:
             self._interfaces = InterfaceWatch(self._use_new_addresses, later, addresses)
         if self._config.ros2.rmw != CYCLONE:
@@ -443,7 +446,7 @@ class Ros2Edge(SideEdge):
 
     @override
     def warnings(self) -> list[str]:
-        """Return warnings about QoS, versions, nodes on another DDS, new addresses, drops and discovery servers."""
+        """Return warnings about QoS, names, versions, other DDS, new addresses, drops and discovery servers."""
         offers: dict[str, set[Qos]] = {}
         advertised: dict[str, str] = {}
         separated, served = set[str](), set[str]()
@@ -457,6 +460,7 @@ class Ros2Edge(SideEdge):
                 if isinstance(end, Ros2Server):
                     served.add(end.name)
         warnings = self._dds.warnings(self.endpoints(), served)
+        warnings += self._namesakes.texts if self._namesakes is not None else []
         warnings += self._over_udp() + self._versions.warnings(self.endpoints(), advertised, separated)
         warnings += [self._interfaces.text] if self._interfaces is not None and self._interfaces.text else []
         warnings += [self._drops.text] if self._drops is not None and self._drops.text else []

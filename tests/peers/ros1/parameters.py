@@ -97,6 +97,7 @@ class ParameterNode:
     Attributes:
         values: the declared parameters; the type of a parameter without a value is in ``types``, DOUBLE by default.
         asked: number of requests for the names of the parameters.
+        hangs: whether it keeps requests without a reply, until `resume`.
     """
 
     def __init__(self, hub: Hub, node: str, **values: ParameterValue) -> None:
@@ -105,6 +106,8 @@ class ParameterNode:
         self.refuses: set[str] = set()
         self.set: list[tuple[str, Any]] = []
         self.asked = 0
+        self.hangs = False
+        self._kept: list[Callable[[], None]] = []
         self._servers = [
             hub.server(f"{node}/{key}", codec.type.name, codec.type.type_id, self._answer(key))
             for key, codec in CODECS.items()
@@ -112,10 +115,28 @@ class ParameterNode:
 
     def _answer(self, word: str) -> Any:
         def call(request: bytes, done: Any) -> Any:
-            done(CODECS[word].response(getattr(self, f"_{word}")(CODECS[word].request_value(request))))
+            def reply() -> None:
+                done(CODECS[word].response(getattr(self, f"_{word}")(CODECS[word].request_value(request))))
+
+            if self.hangs:
+                self._kept.append(reply)
+            else:
+                reply()
             return lambda: None
 
         return call
+
+    @property
+    def kept(self) -> int:
+        """Number of requests without a reply."""
+        return len(self._kept)
+
+    def resume(self, *, lost: bool = False) -> None:
+        """Reply to all requests that were kept; ``lost``: without these replies."""
+        self.hangs = False
+        kept, self._kept = self._kept, []
+        for reply in () if lost else kept:
+            reply()
 
     def _list_parameters(self, request: Any) -> Any:
         self.asked += 1

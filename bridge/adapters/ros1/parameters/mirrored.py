@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from difflib import get_close_matches
 from typing import Any
@@ -21,7 +22,7 @@ from bridge.adapters.ros1.parameters.values import (
     why_not_ros1,
 )
 from bridge.config.sections.routing import ParameterRule
-from bridge.hub.endpoints.calls import CallError
+from bridge.hub.endpoints.calls import Abandon, CallError, nothing
 from bridge.messages.errors import ConversionError
 
 _log = logging.getLogger(__name__)
@@ -30,6 +31,15 @@ _Values = dict[str, ParameterValue]
 _USED = ("list_parameters", "get_parameters", "get_parameter_types", "describe_parameters", "set_parameters")
 _LOGGED = 5
 """Maximum number of unknown names in one log line."""
+
+ANSWER_SECONDS = 5.0
+"""Seconds after which a call without a reply is reported."""
+
+REPEAT_SECONDS = 30.0
+"""Seconds after which a comparison whose call has no reply begins again, because the reply may be lost."""
+
+NAMESAKE_SECONDS = 30.0
+"""Seconds after which nodes of one name are reported: a killed node may be listed beside its successor for a while."""
 
 _READ_ONLY = "routing.parameters has write: false"
 
@@ -55,6 +65,13 @@ class MirroredNode:
         self._codecs = {service: codec for service, codec in codecs(context.registry).items() if service in _USED}
         self._clients: dict[str, Any] = {}
         self._busy = False
+        self._call_number = 0  # of the last call; replies to earlier ones are ignored
+        self._abandon: Abandon = nothing
+        self._asked = 0.0  # when the last call began, in monotonic seconds
+        self._service = ""  # of the last call
+        self._silence = ""  # a warning about a late reply
+        self._namesakes = ""  # a warning about nodes with the same name
+        self._name_due = float("inf")  # the time in monotonic seconds at which they are reported
         self._ask_types = False
         self._declared: frozenset[str] = frozenset()
         self.skipped: list[str] = []
@@ -73,7 +90,8 @@ class MirroredNode:
     @property
     def troubles(self) -> dict[str, str]:
         """The problem of each parameter, by its name in ROS 1."""
-        return {**self._problems, **self._rejected}
+        whole = self._silence or self._namesakes
+        return {**self._problems, **self._rejected, **({self.rule.ros1: whole} if whole else {})}
 
     @property
     def present(self) -> bool:
@@ -94,7 +112,11 @@ class MirroredNode:
                 self._clients[service] = self._hub.client(name, codec.type.name, codec.type.type_id, self._wake)
         if not self.present:
             self._reset()
-        elif not self._busy:
+            return
+        self._check_name()
+        if self._busy:
+            self._check_reply(time.monotonic() - self._asked)
+        if not self._busy:
             self._busy = True
             prefixes = [self.rule.prefix] if self.rule.prefix else []
             self._call("list_parameters", {"prefixes": prefixes, "depth": 0}, self._on_names)
@@ -102,13 +124,14 @@ class MirroredNode:
     def close(self) -> None:
         """Close the clients. Safe to call twice."""
         clients, self._clients = self._clients, {}
+        self._reset()
         for client in clients.values():
             client.close()
-        self._busy = False
-        self._reset()
 
     def _reset(self) -> None:
-        """Drop the state and the problems of a node that has ended."""
+        """Drop the state, the call and the problems of a node that has ended."""
+        self._end_call()
+        self._silence = self._namesakes = ""
         self._agreed, self._unknown = {}, frozenset()
         self._problems, self._rejected = {}, {}
         self.skipped, self._unheld = [], frozenset()
@@ -119,23 +142,64 @@ class MirroredNode:
         ``then`` receives the response on the parameters' thread, and returns whether the comparison continues.
         """
         client, codec = self._clients[service], self._codecs[service]
+        self._call_number = number = self._call_number + 1
+        self._service, self._asked = service, time.monotonic()
 
         def respond(result: bytes | CallError) -> None:
             self._submit(lambda: accept(result), None)
 
         def accept(result: bytes | CallError) -> None:
-            if self._clients.get(service) is not client:
-                return  # closed meanwhile
+            if self._call_number != number:
+                return  # abandoned meanwhile
             self._busy = False
+            silence, self._silence = self._silence, ""
             if isinstance(result, CallError):
                 self._problems = {self.rule.node: str(result)} if self.present else {}
                 return
+            if silence:
+                _log.info("parameters in %s are shared again: %s replies", self.rule.ros1, self.rule.node)
             try:
                 self._busy = then(codec.response_value(result))
             except ConversionError as err:
                 self._problems = {self.rule.node: str(err)}
 
-        client.call(codec.request(request), respond)
+        self._abandon = client.call(codec.request(request), respond)
+
+    def _end_call(self) -> None:
+        """Abandon the call under way, if any."""
+        self._call_number += 1
+        self._busy = False
+        self._abandon()
+        self._abandon = nothing
+
+    def _check_name(self) -> None:
+        """Report native nodes of the hub that have the same name; the ROS 2 side reports those on DDS."""
+        servers = self._hub.graph.servers(f"{self.rule.node}/list_parameters")
+        count = sum(server.origin is None and not server.pending for server in servers)
+        if count < 2:
+            self._namesakes, self._name_due = "", float("inf")
+            return
+        now = time.monotonic()
+        self._name_due = min(self._name_due, now + NAMESAKE_SECONDS)
+        if now < self._name_due:
+            return
+        if not self._namesakes:
+            _log.warning("parameters in %s: %d nodes on the hub are named %s", self.rule.ros1, count, self.rule.node)
+        self._namesakes = (
+            f"{count} nodes on the hub are named {self.rule.node}, and any of them replies; rename or stop all but one"
+            " (ros2 run ... --ros-args -r __node:=NAME)"
+        )
+
+    def _check_reply(self, passed: float) -> None:
+        """Report a call whose reply is late, and at last abandon it."""
+        if passed > ANSWER_SECONDS and not self._silence:
+            self._silence = (
+                f"not shared at present: {self.rule.node} has not replied to {self._service} for {ANSWER_SECONDS:g} s;"
+                " if it hangs or spins no executor, restart it"
+            )
+            _log.warning("parameters in %s are %s", self.rule.ros1, self._silence)
+        if passed > REPEAT_SECONDS:
+            self._end_call()
 
     # -- one comparison ------------------------------------------------------------------------------------------------
 

@@ -7,6 +7,7 @@ import re
 
 import pytest
 
+from bridge.adapters.ros1.parameters import mirrored
 from bridge.adapters.ros1.parameters.values import NOT_SET, ParameterType, ParameterValue, to_ros2
 from bridge.hub.node import Hub
 from tests.peers.ros1.network import RosMaster, needs_ros1
@@ -181,6 +182,60 @@ def test_problems_of_a_node_disappear_with_it(master: RosMaster, hubs: tuple[Hub
     until(lambda: master.call("getParam", f"{name}/fixed") == 1.0, "the parameter is reset")
     node.close()
     until(lambda: parameters.warnings() == [], "the warnings disappear with the node")
+
+
+@needs_ros1
+@pytest.mark.parametrize("lost", [False, True])
+def test_a_node_that_hangs_is_reported(
+    master: RosMaster, hubs: tuple[Hub, Hub], share: Share, caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch, lost: bool,
+):  # fmt: skip
+    """Its executor may be busy, or nobody spins it; a reply may also be lost, when a node of its name ends."""
+    caplog.set_level("INFO")
+    monkeypatch.setattr(mirrored, "ANSWER_SECONDS", 0.3)
+    monkeypatch.setattr(mirrored, "REPEAT_SECONDS", 0.6 if lost else 1e9)
+    name = f"/hanging_{lost}".lower()
+    node = ParameterNode(hubs[1], f"{name}_node", gain=double(1.0))
+    parameters = share(rule("ros2", name, f"{name}_node"))
+    until(lambda: master.call("getParam", name) == {"gain": 1.0}, "the parameter is in ROS 1")
+    assert parameters.warnings() == []
+    node.hangs = True
+    want = (
+        f"{name}: not shared at present: {name}_node has not replied to list_parameters for 0.3 s; if it hangs or spins"
+        " no executor, restart it"
+    )
+    until(lambda: parameters.warnings() == [f"parameter {want}"], "the node is reported")
+    until(lambda: node.kept == (3 if lost else 1), "it is asked again only if the reply may be lost")
+    node.resume(lost=lost)
+    master.call("setParam", f"{name}/gain", 2.0)
+    until(lambda: node.values["gain"] == double(2.0), "the node has ROS 1's value")
+    until(lambda: parameters.warnings() == [], "the warning disappears")
+    assert [text for text in caplog.messages if f"parameters in {name} " in text] == [
+        f"parameters in {name} are{want.partition(':')[2]}",
+        f"parameters in {name} are shared again: {name}_node replies",
+    ]
+
+
+@needs_ros1
+def test_nodes_of_one_name_on_the_hub_are_reported(
+    master: RosMaster, hubs: tuple[Hub, Hub], share: Share, caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.setattr(mirrored, "NAMESAKE_SECONDS", 0.3)
+    first = ParameterNode(hubs[1], "/double_node", gain=double(1.0))
+    parameters = share(rule("ros2", "/double", "/double_node"))
+    until(lambda: master.call("getParam", "/double") == {"gain": 1.0}, "the parameter is in ROS 1")
+    assert parameters.warnings() == []
+    second = ParameterNode(hubs[1], "/double_node", gain=double(1.0))
+    text = "/double: 2 nodes on the hub are named /double_node, and any of them replies; rename or stop all but one"
+    until(
+        lambda: [warning.partition(" (ros2 run")[0] for warning in parameters.warnings()] == [f"parameter {text}"],
+        "both nodes are reported",
+    )
+    second.close()
+    until(lambda: parameters.warnings() == [], "one is left")
+    first.close()
+    assert sum("named /double_node" in message for message in caplog.messages) == 1
 
 
 @needs_ros1
