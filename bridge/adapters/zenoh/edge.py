@@ -48,6 +48,9 @@ RETRY_SECONDS = 1.0
 _CLIENT_WAIT_MS = 1500
 """Time limit of one such attempt in milliseconds."""
 
+UNLINKED_SECONDS = 3.0
+"""Seconds without a link after which the log reports it; routers and peers are linked within this time."""
+
 LINK_SECONDS = 0.5
 """Seconds after which a new link has delivered all tokens; a query right after the link opens returns no tokens."""
 
@@ -56,6 +59,12 @@ _WITH_CERTIFICATES = ("tls/", "quic/")
 """Protocols over which an end may refuse the other's certificate."""
 
 _CURE = "compare the files in transport/link/tls of zenoh.zenoh with those of the other machine"
+
+_START = "start it, or correct the address (zenoh.router, zenoh.zenoh)"
+
+
+_own_sessions = set[str]()
+"""The ids of this process's sessions on the networks of the dialects."""
 
 
 class OwnEndpoint(Protocol):
@@ -89,6 +98,8 @@ class KeyEdge(SideEdge):
         self._presence: KeyNeighbors | None = None
         self._monitor: EndpointMonitor | None = None
         self._linked_since: float | None = None
+        self._unlinked_since = time.monotonic()
+        self._unlinked_logged = False
         self._stopping = threading.Event()
         self._ticker = threading.Thread(target=self._tick_on, name=f"midspan-{self.side}-tick", daemon=True)
 
@@ -127,7 +138,7 @@ class KeyEdge(SideEdge):
             refused = refusal(address, self._settings)
             if refused is not None:
                 return f"{refused.text}; {_CURE}"
-        return zenoh_reason(err)
+        return f"{zenoh_reason(err)}; {_START}"
 
     def _wait(self, err: zenoh.ZError) -> None:
         """Report why the session does not open yet; log a new reason."""
@@ -233,17 +244,38 @@ class KeyEdge(SideEdge):
                 return
             try:
                 info = context.session.info
-                linked = bool(info.routers_zid() or info.peers_zid())
-                if linked != (self._linked_since is not None):
-                    self._linked_since = time.monotonic() if linked else None
-                    self._graph_changed()
-                if self._monitor is not None:
-                    self.away = _trouble(self._monitor)
                 now = time.monotonic()
+                # the sessions of this worker's other dialects link to this one, but nothing is bridged between them
+                peers = {str(zid) for zid in info.peers_zid()} - _own_sessions
+                self._follow_links(now, linked=bool(info.routers_zid() or peers))
                 neighbors.tick(now)
                 self.tick(now)
             except Exception:
                 _log.exception("%s: periodic work failed", self.side)
+
+    def _follow_links(self, now: float, *, linked: bool) -> None:
+        """Record whether the session has a link, and why it has none."""
+        if linked != (self._linked_since is not None):
+            self._linked_since = now if linked else None
+            self._unlinked_since, self._unlinked_logged = now, False
+            self._graph_changed()
+        away = _trouble(self._monitor) if self._monitor is not None else ""
+        if not linked and not away:
+            away = self._unlinked
+            if now - self._unlinked_since > UNLINKED_SECONDS and not self._unlinked_logged:
+                self._unlinked_logged = True
+                _log.warning("%s: %s", self.side, away)
+        self.away = away
+
+    @property
+    def _unlinked(self) -> str:
+        """What a session without a link waits for, and what to do."""
+        if self._is_client:
+            return f"waiting for the zenoh router at {self._router_addresses}: not connected; {_START}"
+        addresses = ", ".join(_endpoints(self._settings, "connect"))
+        if addresses:
+            return f"waiting for another zenoh session at {addresses}: not connected; {_START}"
+        return "waiting for another zenoh session: none found; start one, or name its address in zenoh.router"
 
     @property
     def context(self) -> KeyContext:
@@ -328,7 +360,9 @@ def _settings(config: Config) -> zenoh.Config:
     tree = session_tree(router, shared_memory=config.hub.shared_memory and not separate, max_payload=MAX_PAYLOAD)
     tree["connect"]["timeout_ms"]["client"] = _CLIENT_WAIT_MS
     settings = make_config(tree, over)
-    settings.insert_json5("id", json.dumps(new_zid()))
+    zid = new_zid()
+    _own_sessions.add(zid)
+    settings.insert_json5("id", json.dumps(zid))
     # A session with a hybrid logical clock stamps received samples with its own id if they have no stamp, or a stamp
     # more than 0.5 s ahead. Such samples would look like Midspan's own, and be ignored.
     settings.insert_json5("timestamping/enabled", "false")

@@ -23,6 +23,7 @@ DIALECTS = {"ros2dds": {"dialect": "ros2dds"}, "ros1": {"dialect": "ros1"}, "jso
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(edge, "RETRY_SECONDS", 0.1)
     monkeypatch.setattr(edge, "_CLIENT_WAIT_MS", 300)
+    monkeypatch.setattr(edge, "UNLINKED_SECONDS", 0.1)
 
 
 @pytest.mark.parametrize("dialect", DIALECTS)
@@ -52,9 +53,15 @@ def test_a_client_waits_for_its_router(
         assert not [w for w in place.answer(joined.name)["warnings"] if "waiting" in w]
         assert sum("waiting for the zenoh router" in record.message for record in caplog.records) <= 1
         place.router.stop()
-        until(lambda: joined.health().state == "waiting", "the router has left")
+        lost = f"waiting for the zenoh router at {place.router.endpoint}: not connected; start it, or"
+        until(lambda: joined.health().text.startswith(lost), "the state names the lost router")
+        assert joined.health().state == "waiting"
+        until(lambda: lost in caplog.text, "the log names it")
+        assert any(warning.startswith(lost) for warning in place.answer(joined.name)["warnings"])
         place.router.start()
         until(lambda: joined.health().state == "running", "the dialect joins again")
+        assert not [w for w in place.answer(joined.name)["warnings"] if "waiting" in w]
+        assert sum(lost in record.message for record in caplog.records) == 1
     finally:
         bridge.stop()
 
@@ -93,3 +100,33 @@ def test_a_peer_waits_until_it_can_listen(place: Place, caplog: pytest.LogCaptur
             until(lambda: joined.health().state == "running", "the dialect joins")
         finally:
             joined.stop()
+
+
+def test_a_peer_without_a_link_names_the_address(place: Place) -> None:
+    place.router.stop()
+    registry = Registry()
+    config = place.config(DIALECTS["ros2dds"])
+    (created,) = make_edges("zenoh", config, registry, place.folder).values()
+    joined = NetworkBridge("zenoh_ros2dds", created, config, registry, pytest.fail, diagnostics=False)
+    try:
+        reason = f"waiting for another zenoh session at {place.router.endpoint}: not connected; start it, or"
+        until(lambda: joined.health().text.startswith(reason), "the state gives the reason")
+        assert joined.health().state == "waiting"
+        place.router.start()
+        until(lambda: joined.health().state == "running", "the dialect joins")
+        assert created.away == ""
+    finally:
+        joined.stop()
+
+
+def test_dialects_that_are_linked_only_to_each_other_wait(place: Place) -> None:
+    bridge = place.bridge(DIALECTS["ros2dds"], DIALECTS["json"])
+    until(lambda: {joined.health().state for joined in bridge.bridges} == {"running"}, "both dialects join")
+    place.router.stop()
+    reason = f"waiting for another zenoh session at {place.router.endpoint}: not connected"
+    until(
+        lambda: all(joined.health().text.startswith(reason) for joined in bridge.bridges),
+        "both dialects give the reason",
+    )
+    place.router.start()
+    until(lambda: {joined.health().state for joined in bridge.bridges} == {"running"}, "both dialects join again")
