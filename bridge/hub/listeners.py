@@ -49,7 +49,7 @@ def open_hub_session(config: zenoh.Config) -> zenoh.Session:
     addresses = {endpoint: address for endpoint in closed if (address := _ip_address(endpoint))}
     with _lock:
         _closed.update(dict.fromkeys(closed, reason))
-        _absent.update({endpoint: address for endpoint, address in addresses.items() if not _has_address(address)})
+        _absent.update({endpoint: address for endpoint, address in addresses.items() if not has_address(address)})
     if text := trouble():
         _log.warning("%s", text)
     return session
@@ -80,7 +80,7 @@ def arrived() -> str:
     """Return a closed listener whose IP address this machine lacked and has now; "" if none."""
     with _lock:
         absent = tuple(_absent.items())
-    return next((endpoint for endpoint, address in absent if _has_address(address)), "")
+    return next((endpoint for endpoint, address in absent if has_address(address)), "")
 
 
 def _ip_address(endpoint: str) -> str:
@@ -92,8 +92,10 @@ def _ip_address(endpoint: str) -> str:
         return ""
 
 
-def _has_address(address: str) -> bool:
-    """Return whether a program on this machine can listen at an IP address."""
+def has_address(address: str) -> bool:
+    """Return whether a program on this machine can listen at an IP address; True for one that needs an interface."""
+    if ipaddress.ip_address(address).is_link_local and ":" in address:
+        return True
     family = socket.AF_INET6 if ":" in address else socket.AF_INET
     try:
         with socket.socket(family, socket.SOCK_DGRAM) as sock:

@@ -13,6 +13,6 @@ def test_a_side_restarts_for_an_address_that_arrives(monkeypatch: pytest.MonkeyP
     worker = BridgeWorker("ros1")
     monkeypatch.setattr(listeners, "_absent", {"tcp/203.0.113.7:7447": "203.0.113.7"})
     assert worker.health().text == "starting"
-    monkeypatch.setattr(listeners, "_has_address", lambda _address: True)
+    monkeypatch.setattr(listeners, "has_address", lambda _address: True)
     with pytest.raises(WorkerFailedError, match=r"has got the address of tcp/203\.0\.113\.7:7447"):
         worker.health()

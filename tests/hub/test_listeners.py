@@ -41,7 +41,7 @@ def test_an_address_that_the_machine_gets_later_is_noticed(address: str, monkeyp
     open_and_close({"listen": {"endpoints": [fails, f"tcp/no-such-host.invalid:{free_port()}"]}})
     assert listeners.arrived() == ""
     asked: list[str] = []
-    monkeypatch.setattr(listeners, "_has_address", lambda address: bool(asked.append(address) or True))
+    monkeypatch.setattr(listeners, "has_address", lambda address: bool(asked.append(address) or True))
     assert listeners.arrived() == fails
     assert asked == [address.strip("[]")]
 

@@ -20,6 +20,7 @@ import psutil
 from typing_extensions import override
 
 from bridge.concurrency import WorkerPool
+from bridge.hub.listeners import has_address
 from bridge.hub.security.handshake import Attempt, HostPort, Identity, attempt, resolve_only
 from bridge.hub.security.reasons import EndpointState, Reason, refusal_in_log
 from bridge.hub.security.zenoh_log import ZenohLog
@@ -286,7 +287,20 @@ class _Listen(_Endpoint):
         due = [entry for entry in self._active.values() if entry.callers or now > entry.first + _ADDRESS_SECONDS]
         for entry in due:
             self._log_refusals(entry, own_trouble)
-        self._enter([own_trouble] if own_trouble else [reason for entry in due if (reason := entry.reason())])
+        reasons = [own_trouble] if own_trouble else [reason for entry in due if (reason := entry.reason())]
+        self._enter(reasons if (absent := self._absent_address()) is None else [absent])
+
+    def _absent_address(self) -> Reason | None:
+        """Return a reason if this machine has lost the address: the listener is open, but reachable for nobody."""
+        host = self.place.host if self.place is not None else ""
+        try:
+            absent = not has_address(host)
+        except ValueError:  # a host name
+            return None
+        if not absent:
+            return None
+        text = f"this machine does not have the address {host} now"
+        return Reason(EndpointState.UNREACHABLE, text, "connect this machine to that network, or correct the address")
 
     def _log_refusals(self, refusals: _Refusals, own_trouble: Reason | None) -> None:
         """Log a cause once, and again for each additional machine that is refused for it.
@@ -304,11 +318,16 @@ class _Listen(_Endpoint):
             _log.warning("%s: %s; %s", place, reason.text, cure)
 
     def _enter(self, reasons: Sequence[Reason]) -> None:
+        before = self.status.state
         if reasons:
             cures = "; ".join(dict.fromkeys(reason.cure for reason in reasons if reason.cure))
-            self.set(Reason(reasons[0].state, "; ".join(reason.text for reason in reasons), cures))
+            changed = self.set(Reason(reasons[0].state, "; ".join(reason.text for reason in reasons), cures))
+            if changed and reasons[0].state is EndpointState.UNREACHABLE:
+                _log.warning("%s; %s", self.status.text(self._owner.prefix), cures)
         elif self.set(Reason(EndpointState.LISTENING)):
-            _log.info("%slisten %s: machines are no longer refused", self._owner.prefix, self.status.endpoint)
+            lost = before == EndpointState.UNREACHABLE
+            text = "this machine has the address again" if lost else "machines are no longer refused"
+            _log.info("%slisten %s: %s", self._owner.prefix, self.status.endpoint, text)
         if not self._active:
             self._logged.clear()
             self._closed = None

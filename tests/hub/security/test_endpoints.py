@@ -308,6 +308,43 @@ def test_a_listener_logs_the_problem_of_its_own_certificate_instead_of_alerts(
     ]
 
 
+def test_a_listener_whose_address_has_disappeared_is_reported(
+    slow: float, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The socket stays open without the address, for instance of a Wi-Fi network that this machine has left."""
+    caplog.set_level(logging.INFO, "bridge.hub.security")
+    present = {"10.5.0.1"}
+    monkeypatch.setattr(endpoints, "has_address", lambda host: host in present)
+    listener = endpoints._Listen("tcp/10.5.0.1:7448")
+    states = []
+    for second in range(9):
+        present.clear() if second in range(3, 6) else present.add("10.5.0.1")
+        listener.poll(None, None, slow + second)
+        states.append(listener.status.state)
+    assert states == [*["listening"] * 3, *["unreachable"] * 3, *["listening"] * 3]
+    lost, back = [record.getMessage() for record in caplog.records]
+    assert lost == (
+        "hub.open.listen tcp/10.5.0.1:7448: unreachable: this machine does not have the address 10.5.0.1 now; connect"
+        " this machine to that network, or correct the address"
+    )
+    assert back == "hub.open.listen tcp/10.5.0.1:7448: this machine has the address again"
+
+
+@pytest.mark.parametrize(
+    "place", ["tcp/127.0.0.1:1", "tcp/0.0.0.0:1", "tcp/[::]:1", "tcp/[fe80::1]:1", "tcp/name:1", "x"]
+)
+def test_other_listeners_count_as_reachable(slow: float, place: str) -> None:
+    listener = endpoints._Listen(place)
+    listener.poll(None, None, slow)
+    assert listener.status.state == EndpointState.LISTENING
+
+
+def test_an_address_that_this_machine_lacks_is_recognized(slow: float) -> None:
+    listener = endpoints._Listen("tls/192.0.2.1:7448")  # for documentation (RFC 5737)
+    listener.poll(None, None, slow)
+    assert listener.status.state == EndpointState.UNREACHABLE
+
+
 def test_zenohs_reason_is_reported_if_no_test_is_possible(slow: float, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("bridge.hub.security.zenoh_log.time", SimpleNamespace(monotonic=lambda: slow + 31))
     endpoint, log = endpoints._Connect("quic/10.0.0.9:7448", None), ZenohLog()
