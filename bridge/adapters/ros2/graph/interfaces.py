@@ -34,7 +34,9 @@ def ipv4_addresses() -> Addresses:
 
 
 class InterfaceWatch:
-    """Calls ``appeared`` once, with a text, when the machine gets addresses that are not among the ``known`` ones.
+    """Calls ``appeared`` with a text when the machine gets addresses that are not among the ``known`` ones.
+
+    The next call is for other new addresses, if ``appeared`` has not ended the process.
 
     An address that disappears and returns is not new, because the participant's sockets still use it.
     """
@@ -46,7 +48,7 @@ class InterfaceWatch:
         self._appeared, self._addresses = appeared, addresses
         self._known = known
         self._new: Addresses = frozenset()
-        self._reported = False
+        self._reported: Addresses = frozenset()
         later.every(PERIOD, self._check)
 
     @property
@@ -56,9 +58,7 @@ class InterfaceWatch:
         return f"this machine has a new address that the ROS 2 side does not use: {new}" if new else ""
 
     def _check(self) -> None:
-        if self._reported:
-            return
         before, self._new = self._new, self._addresses() - self._known
-        if self._new and self._new == before:
-            self._reported = True
+        if self._new == before and not self._new <= self._reported:
+            self._reported |= self._new
             self._appeared(self.text)

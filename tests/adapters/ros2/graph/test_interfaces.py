@@ -68,6 +68,22 @@ def test_a_new_address_is_reported_once() -> None:
     assert machine.reported == [f"{TEXT}10.8.0.3 on tun0, 192.168.1.7 on wlan0"]
 
 
+def test_the_text_follows_the_addresses() -> None:
+    """With a profile, the participant stays."""
+    machine = Machine(WIRED)
+    machine.addresses |= {WIFI}
+    machine.checks(2)
+    machine.addresses = {WIRED}
+    machine.checks(1)
+    assert machine.watch.text == "", "the address has disappeared"
+    machine.addresses |= {VPN}
+    machine.checks(3)
+    machine.addresses |= {WIFI}
+    machine.checks(3)
+    assert machine.watch.text == f"{TEXT}10.8.0.3 on tun0, 192.168.1.7 on wlan0"
+    assert machine.reported == [f"{TEXT}192.168.1.7 on wlan0", f"{TEXT}10.8.0.3 on tun0"]
+
+
 def test_addresses_are_read_again_after_an_error() -> None:
     machine = Machine(WIRED)
     machine.errors = [OSError(errno.EMFILE, "Too many open files")]
