@@ -111,8 +111,12 @@ class Contactable:
         self.close()
         contact = name if isinstance(name, Contact) else Contact(name)
         requested = contact.getRegName()
-        full = self._full_name(os.environ.get(_variable("YARP_RENAME", requested)) or requested)
+        variable = _variable("YARP_RENAME", requested)
+        renamed = os.environ.get(variable)
+        full = self._full_name(renamed or requested)
         if full is None:
+            if renamed:
+                log.error("port %s is not opened: correct or unset %s, which renames it", requested, variable)
             return False
         return self._open(full, contact, _number(requested) or max(contact.getPort(), 0), register=registerName)
 
@@ -399,7 +403,7 @@ def _number(name: str) -> int:
     """Return the TCP port number that the environment sets for a port; 0 if none."""
     variable = _variable("YARP_PORTNUMBER", name)
     text = os.environ.get(variable, "")
-    if text.isascii() and text.isdecimal() and int(text) < 1 << 16:
+    if text.isascii() and text.isdecimal() and 0 < int(text) < 1 << 16:
         return int(text)
     if text:
         log.warning("ignored %s=%.40s: it must be a number from 1 to 65535", variable, text)

@@ -327,9 +327,19 @@ def test_environment_can_set_a_ports_number(monkeypatch: pytest.MonkeyPatch, cap
     monkeypatch.setenv("YARP_RENAME_camera", "/eye")
     port = opened(name="/camera")
     assert (port.getName(), port.where().getPort()) == ("/eye", number)
-    monkeypatch.setenv("YARP_PORTNUMBER_other", "many")
-    assert opened(name="/other").where().getPort() > 0
-    assert "ignored YARP_PORTNUMBER_other=many" in caplog.text
+    for other in ("many", "0"):
+        monkeypatch.setenv("YARP_PORTNUMBER_other", other)
+        assert opened(name="/other").where().getPort() > 0
+        assert f"ignored YARP_PORTNUMBER_other={other}" in caplog.text
+
+
+def test_an_invalid_new_name_is_reported_with_its_variable(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setenv("YARP_RENAME_camera", "the eye")
+    assert not yarp.Port().open("/camera")
+    assert "'the eye' is not a port name" in caplog.text
+    assert "port /camera is not opened: correct or unset YARP_RENAME_camera, which renames it" in caplog.text
 
 
 def test_port_reports_itself_and_its_connections() -> None:
