@@ -108,6 +108,12 @@ zenoh's hybrid logical clock adds 0.23 ns for each message of its session until 
 HOLD = 0.5
 """Seconds for determining the smallest delay, during which no message counts as fresh."""
 
+CONFIRM = 2.0
+"""Seconds for which the delay must stay the same before a clock counts as set back during a pause of its messages."""
+
+_STEADY_NS = 10_000_000
+"""A delay stays the same if it decreases by less than this, in ns; that of a backlog decreases as it is read."""
+
 
 class AgeGate:
     """Determines the age of one source's messages from their timestamps, for any offset between the two clocks.
@@ -116,33 +122,68 @@ class AgeGate:
     waiting time. The smallest difference grows slowly, so that drifting clocks do not make all messages look old. The
     arrival is measured by a clock that is never set. The smallest difference is determined again if the source's clock
     is set back, or if the first message looks old. While the source's clock stands, the age is unknown and counts as 0.
+
+    A source's clock was set back, although no timestamp goes back, if the difference grew
+
+    - by as much as this machine's clock was set back or slewed: the source is on this machine;
+    - by less than the pause before the message, and then stays the same for `CONFIRM` seconds.
     """
 
-    __slots__ = ("_held_until", "_least", "_newest", "_seen")
+    __slots__ = ("_confirmed_at", "_held_until", "_least", "_newest", "_offset", "_seen", "_step")
 
     def __init__(self) -> None:
         self._least: int | None = None
-        self._newest = 0
-        self._seen = self._held_until = 0.0
+        self._newest = self._offset = 0
+        self._seen = self._held_until = self._confirmed_at = 0.0
+        self._step: int | None = None  # the difference after a pause in which the source's clock may have been set back
 
     def age(self, source_time_ns: int) -> float:
         """Return a message's extra delay in seconds; infinity after a newer message, or while the offset is unknown."""
         arrival = steady_ns()
+        offset = time.time_ns() - arrival  # changes if this machine's clock is set
         difference, now = arrival - source_time_ns, arrival / 1e9
         newest, self._newest = self._newest, source_time_ns
-        if self._least is None and time.time_ns() - source_time_ns > STEP_NS:
+        step, self._step = self._step, None
+        if self._least is None and offset + difference > STEP_NS:
             # Either the source's clock is slow, or older messages arrive first, as with DDS for a new reader.
             self._held_until = now + HOLD
         if self._least is None or difference < self._least:
-            self._least = difference
+            self._least, self._offset = difference, offset
+        elif self._follows_this_clock(difference, offset):
+            self._least, self._offset = self._least + self._offset - offset, offset
         elif newest - source_time_ns > STEP_NS:
-            self._least, self._held_until = difference, now + HOLD
+            self._least, self._offset, self._held_until = difference, offset, now + HOLD
         elif source_time_ns < newest:
             self._newest = newest
             return math.inf
         elif source_time_ns - newest < _COUNTED_NS and now - self._seen > _APART:
-            self._least = difference
+            self._least, self._offset = difference, offset
+        elif self._was_set(difference, now, step):
+            self._least, self._offset, self._step = difference, offset, None
         else:
             self._least += int(min(now - self._seen, 10.0) * 1e5)  # 100 ppm
         self._seen = now
         return math.inf if now < self._held_until else (difference - self._least) / 1e9
+
+    def _follows_this_clock(self, difference: int, offset: int) -> bool:
+        """Return whether the difference grew because this machine's clock, which the source uses, was set back."""
+        assert self._least is not None
+        grown, back = difference - self._least, self._offset - offset
+        if grown < STEP_NS // 2 and abs(back) > STEP_NS:  # the source does not use this machine's clock
+            self._offset = offset
+        return grown > STEP_NS and abs(grown - back) < STEP_NS
+
+    def _was_set(self, difference: int, now: float, step: int | None) -> bool:
+        """Return whether the source's clock was set back during a pause: the difference has grown once, and stays.
+
+        ``step`` is the difference after the pause; None if the previous message was not old.
+        """
+        assert self._least is not None
+        grown = difference - self._least
+        if grown <= STEP_NS or (step is None and now - self._seen < grown / 1e9):
+            return False
+        if step is None or step - difference > _STEADY_NS:
+            self._step, self._confirmed_at = difference, now + CONFIRM
+            return False
+        self._step = step
+        return now >= self._confirmed_at

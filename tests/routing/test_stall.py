@@ -75,6 +75,80 @@ def test_setting_the_local_clock_makes_no_message_old(monkeypatch: pytest.Monkey
     assert max(ages(clock, gate, 0.0)) < 0.01
 
 
+@pytest.mark.parametrize(("pause", "jump"), [(60.0, -40.0), (5.0, -4.95), (60.0, -60.05), (3600.0, -1.0)])
+def test_source_is_received_again_after_its_clock_was_set_back_in_a_pause(
+    monkeypatch: pytest.MonkeyPatch, pause: float, jump: float
+) -> None:
+    """Its next time stamp is later than the last one, so no time stamp goes back."""
+    clock, gate = ProcessClock(monkeypatch), stall.AgeGate()
+    ages(clock, gate, 0.0)
+    clock.now += pause
+    after = ages(clock, gate, jump, 60)
+    assert len([age for age in after if age > 0.1]) <= (stall.CONFIRM + 0.1) / 0.05 + 1
+    assert after[-1] < 0.01
+    assert gate.age(int((clock.now + jump - 2.0) * 1e9)) > 1.9, "an old command is still recognized"
+
+
+def test_second_of_two_single_commands_is_fresh_after_their_clock_was_set_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, gate = ProcessClock(monkeypatch), stall.AgeGate()
+    for offset, fresh in ((0.0, True), (-40.0, False), (-40.0, True)):
+        clock.now += 60.0
+        assert (gate.age(int((clock.now + offset) * 1e9)) < 0.1) is fresh
+
+
+@pytest.mark.parametrize("pause", [0.0, 60.0])
+def test_clock_of_this_machine_sets_no_command_of_this_machine_back(
+    monkeypatch: pytest.MonkeyPatch, pause: float
+) -> None:
+    clock, gate = ProcessClock(monkeypatch), stall.AgeGate()
+    ages(clock, gate, 0.0)
+    clock.now += pause
+    monkeypatch.setattr(time, "time_ns", lambda: int((clock.now - 40.0) * 1e9))
+    assert max(ages(clock, gate, -40.0)) < 0.01
+    assert gate.age(int((clock.now - 42.0) * 1e9)) > 1.9, "an old command is still recognized"
+
+
+def test_commands_are_fresh_while_the_clock_of_this_machine_is_slewed_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, gate, slewed = ProcessClock(monkeypatch), stall.AgeGate(), 0.0
+    ages(clock, gate, 0.0)
+    monkeypatch.setattr(time, "time_ns", lambda: int((clock.now - slewed) * 1e9))
+    for _ in range(800):  # chrony corrects 3.3 s in 40 s
+        slewed += 0.05 * 0.083
+        assert ages(clock, gate, -slewed, 1)[0] < 0.2
+
+
+def test_a_set_clock_of_this_machine_makes_no_late_command_of_another_fresh(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, gate = ProcessClock(monkeypatch), stall.AgeGate()
+    ages(clock, gate, 0.0)
+    monkeypatch.setattr(time, "time_ns", lambda: int((clock.now - 3.0) * 1e9))
+    assert max(ages(clock, gate, 0.0)) < 0.01
+    clock.now += 4.0
+    assert gate.age(int((clock.now - 3.0) * 1e9)) > 2.9
+
+
+@pytest.mark.parametrize("speed", [1000.0, 2.0, 1.1])
+def test_backlog_after_a_pause_stays_old(monkeypatch: pytest.MonkeyPatch, speed: float) -> None:
+    clock, gate = ProcessClock(monkeypatch), stall.AgeGate()
+    ages(clock, gate, 0.0)
+    clock.now += 10.0
+    sent = clock.now - 3.0
+    while sent < clock.now - 0.5:  # commands of 20 Hz, read at several times this rate
+        assert gate.age(int(sent * 1e9)) > 0.4
+        sent += 0.05
+        clock.now += 0.05 / speed
+    clock.now = max(clock.now, sent + 0.5)
+    assert ages(clock, gate, 0.0)[-1] < 0.01
+
+
+def test_a_delay_that_grows_is_never_taken_for_a_set_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, gate = ProcessClock(monkeypatch), stall.AgeGate()
+    ages(clock, gate, 0.0)
+    for n in range(400):
+        clock.now += 0.05
+        age = gate.age(int((clock.now - min(n * 0.02, 2.0)) * 1e9))
+    assert age > 1.9
+
+
 def test_backlog_from_before_a_clock_was_set_back_stays_old(monkeypatch: pytest.MonkeyPatch) -> None:
     clock, gate = ProcessClock(monkeypatch), stall.AgeGate()
     ages(clock, gate, 0.0)
