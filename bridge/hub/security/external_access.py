@@ -84,9 +84,9 @@ class ExternalAccess:
             router.close()
 
     def warning(self) -> str:
-        """Return why the router cannot be opened, or cannot check its links; "" if it works."""
-        router = self.router
-        trouble = self.trouble or ("" if router is None else router.trouble)
+        """Return why the router cannot be opened, check its links or use new certificates; "" if it works."""
+        router, keys = self.router, self._keys
+        trouble = self.trouble or ("" if router is None else router.trouble) or ("" if keys is None else keys.trouble)
         return f"hub.open: {trouble}" if trouble else ""
 
     def text(self) -> str:

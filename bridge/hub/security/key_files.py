@@ -70,23 +70,36 @@ def tls_trouble(ca: Path, certificate: Path | None, key: Path | None) -> str:
 
 
 class KeyWatch:
-    """Detects that a machine's key files were replaced since this object was created."""
+    """Detects that a machine's key files were replaced since this object was created.
+
+    Attributes:
+        trouble: why the new files cannot be used, or "".
+    """
 
     def __init__(self, files: KeyFiles) -> None:
         self._files = files
+        self.trouble = ""
         self._used = self._seen = self._stamp()
 
     def renewed(self) -> bool:
         """Return whether there are new, usable files: they are complete, and the key matches its certificate."""
         stamp, before = self._stamp(), self._seen
         self._seen = stamp
-        if stamp == self._used or stamp != before:  # unchanged, or still being copied
+        if stamp == self._used:
+            self.trouble = ""
             return False
-        self._used = stamp
-        trouble = self._files.trouble()
-        if trouble:
-            _log.error("hub.open: the new certificates cannot be used, the old ones stay in use: %s", trouble)
-        return not trouble
+        if stamp != before:  # still being copied
+            return False
+        reason = self._files.trouble()
+        if not reason:
+            self._used, self.trouble = stamp, ""
+            return True
+        # check them again at the next call: an owner or a mode can be corrected without a change of the files
+        trouble = f"the new certificates cannot be used, the old ones stay in use: {reason}"
+        if trouble != self.trouble:
+            _log.error("hub.open: %s", trouble)
+        self.trouble = trouble
+        return False
 
     def _stamp(self) -> _Stamp:
         stamps: list[tuple[int, int, int] | None] = []
