@@ -100,6 +100,16 @@ def end_process_after(seconds: float) -> None:
     timer.start()
 
 
+def with_pipe(server: ControlServer, pipe: Callable[[protocol.Report], None]) -> Callable[[protocol.Report], None]:
+    """Return a function that sends reports; why a worker fails goes over the pipe if the daemon is not connected."""
+
+    def report(report: protocol.Report) -> None:
+        if not server.report(report) and isinstance(report, protocol.Failed):
+            pipe(report)
+
+    return report
+
+
 class ControlServer:
     """Listens at a path for one daemon at a time; a new connection replaces the previous one.
 
@@ -123,9 +133,9 @@ class ControlServer:
         self._thread = threading.Thread(target=self._accept, name="control", daemon=True)
         self._thread.start()
 
-    def report(self, report: protocol.Report) -> None:
-        """Send a report to the connected daemon, if any."""
-        self._send(protocol.encode_report(report))
+    def report(self, report: protocol.Report) -> bool:
+        """Send a report; return False if no daemon is connected."""
+        return self._send(protocol.encode_report(report))
 
     def relay(self, level: int, text: str) -> bool:
         """Send a log line; return False if no daemon is connected."""

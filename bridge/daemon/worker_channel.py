@@ -218,7 +218,7 @@ class SocketChannel(WorkerChannel):
         self._exit: ExitWatch | None = None
         self._start_reports: streams.Reader | None = None
         self._socket: socket.socket | None = None
-        self._lines = protocol.Lines()
+        self._start_lines, self._lines = protocol.Lines(), protocol.Lines()
         self._connected = False
         self._newest: protocol.NewConfig | None = None
         self._to_socket = self._commands = streams.SelectedWriter(loop)
@@ -230,7 +230,6 @@ class SocketChannel(WorkerChannel):
         except OSError:
             return False
         sock.setblocking(False)
-        self._close_start()
         self._lines = protocol.Lines()  # the previous connection may have ended within a line
         self._socket = sock
         self._connected = True
@@ -261,8 +260,8 @@ class SocketChannel(WorkerChannel):
             return Path(os.devnull).open("wb")
 
     def _on_start(self, data: bytes) -> None:
-        """Handle the worker's reports during its start, before its socket exists."""
-        for line in self._lines.feed(data):
+        """Handle the worker's reports until it has accepted the connection to its socket."""
+        for line in self._start_lines.feed(data):
             self._report(line)
 
     def _close_start(self) -> None:
@@ -285,10 +284,24 @@ class SocketChannel(WorkerChannel):
         for line in self._lines.feed(data):
             self._report(line)
 
+    def _read_rest(self) -> None:
+        """Read the last reports of a process that has exited; one of them may be the reason."""
+        if self._start_reports is not None:
+            self._start_reports.drain()
+        data = b"-"
+        while self._socket is not None and data:
+            try:
+                data = self._socket.recv(streams.READ_SIZE)
+            except OSError:
+                return
+            for line in self._lines.feed(data):
+                self._report(line)
+
     @override
     def _on_report(self, report: protocol.Report) -> None:
         if isinstance(report, protocol.Hello):
             self.pid, self.owner = report.pid, report.owner
+            self._close_start()
         super()._on_report(report)
 
     @property
@@ -302,6 +315,7 @@ class SocketChannel(WorkerChannel):
         if self._process is not None:
             code = self._process.poll()
             if code is not None:
+                self._read_rest()
                 self._log_last_output()
                 self.detach()
                 with contextlib.suppress(OSError):

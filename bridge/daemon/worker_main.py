@@ -23,7 +23,7 @@ from bridge.adapters.memory import few_heaps
 from bridge.config.model import Config
 from bridge.daemon import log, protocol
 from bridge.daemon.changed_files import check_changed_files
-from bridge.daemon.control import Commands, ControlServer, DaemonPipe, Hangup
+from bridge.daemon.control import Commands, ControlServer, DaemonPipe, Hangup, with_pipe
 from bridge.daemon.heartbeat import dump_stacks_on_signal
 from bridge.daemon.lock import INHERITED, Lock
 from bridge.daemon.notify import Notifier
@@ -262,9 +262,10 @@ class WorkerMain:
             pipe.read_to(self._commands, stop_at_end=True)
             return self._run(config, pipe.report) or 0
         relay.relay_to(server.relay)
-        pipe.heartbeat.send_to(server.report)
+        report = with_pipe(server, pipe.report)
+        pipe.heartbeat.send_to(report)
         try:
-            return self._run(config, server.report) or 0
+            return self._run(config, report) or 0
         finally:
             server.close()
 

@@ -6,6 +6,7 @@ import contextlib
 import os
 import select
 import socket
+import subprocess
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,11 +17,11 @@ import pytest
 
 from bridge import state_file
 from bridge.config.model import Config
-from bridge.daemon import control, protocol
-from bridge.daemon.control import Commands, ControlServer, DaemonPipe
+from bridge.daemon import control, protocol, streams
+from bridge.daemon.control import Commands, ControlServer, DaemonPipe, with_pipe
 from bridge.daemon.local_socket import LocalListener
-from bridge.daemon.protocol import Beat, Hello, NewConfig, decode_command, encode_command, encode_report
-from bridge.daemon.worker_channel import SocketChannel
+from bridge.daemon.protocol import Beat, Failed, Hello, NewConfig, decode_command, encode_command, encode_report
+from bridge.daemon.worker_channel import Exit, SocketChannel
 from bridge.worker import Health
 from tests.support.descriptors import no_descriptors
 from tests.support.no_threads import no_threads
@@ -186,6 +187,63 @@ def test_a_configuration_that_a_lost_connection_did_not_deliver_is_sent_again(tm
         daemon.settimeout(20)
         with daemon, daemon.makefile("rb") as lines:
             assert decode_command(lines.readline()) == NewConfig(config)
+
+
+def test_why_a_worker_failed_is_read_after_its_exit(tmp_path: Path) -> None:
+    """On a busy machine, the daemon sees the exit before it reads the last report."""
+    with listening(Config(name="test", state=tmp_path)) as (loop, channel, worker):
+        reports = list[object]()
+        listener: Any = channel._listener
+        listener.on_report, listener.on_exit = reports.append, reports.append
+        assert channel.adopt()
+        daemon, _ = worker.accept()
+        hello = Hello(101, "daemon")
+        daemon.sendall(encode_report(hello))
+        until(lambda: loop.step(0.1) or channel.pid == 101, "the worker is connected")
+        daemon.sendall(encode_report(Beat(1, Health("running", "x"))) * 3000)  # more than one read
+        daemon.sendall(encode_report(Failed("the port is taken")))
+        daemon.close()
+        channel._process = subprocess.Popen(["true"])
+        channel._process.wait()
+        channel.poll()
+        assert reports[-2:] == [Failed("the port is taken"), Exit(0)]
+        assert len(reports) == 3003
+
+
+def test_why_a_worker_failed_is_reported_before_the_daemon_connects(tmp_path: Path) -> None:
+    """On a busy machine, the daemon connects late."""
+    server = ControlServer(tmp_path / "socket", "daemon", lambda _: None)
+    with contextlib.closing(server), socket.socket(socket.AF_UNIX) as daemon:
+        piped = list[protocol.Report]()
+        report = with_pipe(server, piped.append)
+        report(Beat(1, Health("running", "x")))
+        report(Failed("the port is taken"))
+        assert piped == [Failed("the port is taken")]
+        daemon.settimeout(20)
+        daemon.connect(str(tmp_path / "socket"))
+        assert b"hello" in daemon.recv(4096)
+        report(Failed("the port is taken"))
+        assert b"the port is taken" in daemon.recv(4096)
+        assert len(piped) == 1
+
+
+def test_reports_over_the_pipe_are_read_until_the_worker_is_connected(tmp_path: Path) -> None:
+    with listening(Config(name="test", state=tmp_path)) as (loop, channel, worker):
+        reports = list[object]()
+        listener: Any = channel._listener
+        listener.on_report = reports.append
+        reading, writing = os.pipe()
+        channel._start_reports = streams.reader(loop, os.fdopen(reading, "rb"), channel._on_start)
+        with os.fdopen(writing, "wb", buffering=0) as pipe:
+            assert channel.adopt()
+            pipe.write(encode_report(Failed("the port is taken")))
+            until(lambda: loop.step(0.1) or reports, "the report is read")
+            assert reports == [Failed("the port is taken")]
+            daemon, _ = worker.accept()
+            daemon.sendall(encode_report(Hello(101, "daemon")))
+            until(lambda: loop.step(0.1) or channel.pid == 101, "the worker is connected")
+            assert channel._start_reports is None
+            daemon.close()
 
 
 def test_a_worker_stops_if_it_cannot_read_the_daemons_commands(monkeypatch: pytest.MonkeyPatch) -> None:
