@@ -126,7 +126,8 @@ class ConnectionGuard:
             self._check_page(request.headers)  # not needed with tokens, because a foreign page has none
             return Grant("", "drive" if self._section.drive else "watch")
         hint = "use a token of foxglove.tokens: wss://robot:8765/?token=..."
-        headers = {"authorization": f"Bearer {request.token}", "user-agent": request.headers.get("user-agent", "")}
+        headers = {name: request.headers.get(name, "") for name in ("user-agent", "x-forwarded-for")}
+        headers["authorization"] = f"Bearer {request.token}"
         try:
             grant = self._access.grant(headers, "", address)
         except WrongTokenError as err:

@@ -21,7 +21,7 @@ from bridge.hub.security.certificates import Authority
 from bridge.hub.security.tokens import new_token
 from bridge.web.section import WebSection
 from bridge.web.serving import access
-from bridge.web.serving.access import COOKIE, Access, Grant, WrongTokens, stored_secret
+from bridge.web.serving.access import COOKIE, Access, Grant, WrongTokens, sender, stored_secret
 from bridge.web.serving.scarce_log import ScarceLog
 from bridge.web.serving.server import hosts
 from bridge.worker import WorkerFailedError
@@ -256,6 +256,15 @@ def test_a_wrong_token_does_not_block_other_clients(
     assert "of-yesterday" not in caplog.text
 
 
+def test_the_log_names_the_client_of_a_proxy_with_a_wrong_token(
+    guarded: GuardedDesk, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Otherwise all clients behind the proxy have its address."""
+    guarded.ask("GET", "/whoami", Authorization="Bearer old", User_Agent="dashboard/1", X_Forwarded_For="10.0.0.7")
+    sent = "127.0.0.1 (program 'dashboard/1', forwarded for '10.0.0.7') sent a token that is not in web.tokens"
+    assert sent in caplog.text
+
+
 class Guesser:
     """Enters wrong tokens, with a simulated clock and a list in place of the log."""
 
@@ -268,7 +277,7 @@ class Guesser:
         self.invalid = WrongTokens(log, "web.tokens")
 
     def wait(self, address: str, token: str) -> int:
-        return self.invalid.refuse(address, token, "curl")
+        return self.invalid.refuse(address, token, sender({"user-agent": "curl"}))
 
 
 @pytest.fixture

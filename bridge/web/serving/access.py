@@ -117,15 +117,15 @@ class Access:
             return EVERYBODY
         scheme, _, token = headers.get("authorization", "").partition(" ")
         if scheme.lower() == "bearer" and token.strip():
-            return self._by_token(token.strip(), address, headers.get("user-agent", ""))
+            return self._by_token(token.strip(), address, sender(headers))
         grant = self._by_cookie(_cookie(headers.get("cookie", ""), self.cookie))
         if grant is None and certificate:
             trusted = certificate in self._trusted or "*" in self._trusted
             grant = Grant(certificate, "drive" if trusted else "watch")
         return grant
 
-    def login(self, token: str, address: str, program: str = "") -> tuple[Grant, str]:
-        """Return a token's grant and the value of the cookie; raises `WrongTokenError`."""
+    def login(self, token: str, address: str, program: str = "program ''") -> tuple[Grant, str]:
+        """Return a token's grant and the value of the cookie; raises `WrongTokenError`. ``program``: see `sender`."""
         grant = self._by_token(token, address, program)
         end = int(time.time()) + LOGIN_SECONDS
         return grant, f"{grant.name}.{end}.{self._mac(grant.name, str(end), self._tokens[grant.name])}"
@@ -172,6 +172,13 @@ class _Attempts:
         return requests
 
 
+def sender(headers: Mapping[str, str]) -> str:
+    """Describe a request's program for the log, and the client that a proxy names; neither is verified."""
+    program = f"program {headers.get('user-agent', '')[:80]!r}"
+    forwarded = headers.get("x-forwarded-for", "")
+    return f"{program}, forwarded for {forwarded[:80]!r}" if forwarded else program
+
+
 class WrongTokens:
     """Counts the wrong tokens of each address. Safe to use from any thread.
 
@@ -185,7 +192,10 @@ class WrongTokens:
         self._attempts: dict[tuple[str, str], _Attempts] = {}  # by address and hash, the most recent at the end
 
     def refuse(self, address: str, digest: str, program: str) -> int:
-        """Record a wrong token; return the seconds that the client has to wait; 0 for the token's first use."""
+        """Record a wrong token; return the seconds that the client has to wait; 0 for the token's first use.
+
+        ``program`` is the result of `sender`.
+        """
         now = time.monotonic()
         with self._lock:
             attempts, several = self._entry(address, digest, now)
@@ -199,7 +209,7 @@ class WrongTokens:
         if requests:
             token = f"over {MOST_WRONG} different tokens; none is" if several else "a token that is not"
             times = "" if requests == 1 else f" {requests} times since the last such line"
-            self._log.warn(f"{address} (program {program[:80]!r}) sent {token} in {self._key}{times}")
+            self._log.warn(f"{address} ({program}) sent {token} in {self._key}{times}")
         return max(math.ceil(wait), 0)
 
     def _entry(self, address: str, digest: str, now: float) -> tuple[_Attempts, bool]:

@@ -13,7 +13,7 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
-from bridge.web.serving.access import LOGIN_SECONDS, Access, Grant, WrongTokenError
+from bridge.web.serving.access import LOGIN_SECONDS, Access, Grant, WrongTokenError, sender
 from bridge.web.serving.page_files import STATIC
 
 _log = logging.getLogger("midspan.web")
@@ -92,7 +92,7 @@ class Login:
             return PlainTextResponse('send {"token": "..."}\n', 400)
         address = address_of(request.scope)
         try:
-            grant, cookie = self._access.login(token, address, request.headers.get("user-agent", ""))
+            grant, cookie = self._access.login(token, address, sender(request.headers))
         except WrongTokenError as err:
             return PlainTextResponse(f"{err}\n", 429 if err.wait else 403, err.headers)
         _log.info("%s logged in, role %s", who(grant, address), grant.role)
