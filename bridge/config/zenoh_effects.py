@@ -22,13 +22,23 @@ OPEN: KeyPath = ("hub", "open", "zenoh")
 DIALECTS: KeyPath = ("zenoh", "zenoh")
 
 _LEAST: tuple[tuple[KeyPath, int, str], ...] = (
+    (("transport", "link", "rx", "max_message_size"), 65536, "message"),
     (("transport", "link", "tx", "batch_size"), 32, "message"),
     (("transport", "link", "tx", "keep_alive"), 1, "link"),
     (("transport", "unicast", "accept_pending"), 1, "link"),
+    (("transport", "unicast", "accept_timeout"), 1, "link"),
     (("transport", "unicast", "max_sessions"), 1, "link"),
     (("transport", "unicast", "open_timeout"), 1, "link"),
 )
 """Numbers with their least useful value, and what lower values prevent (tried with zenoh 1.10.2)."""
+
+_LEASE: KeyPath = ("transport", "link", "tx", "lease")
+_LEAST_LEASE_MS = 500
+"""Shorter leases end links whenever a busy machine delays a keep-alive, of which zenoh sends four in a lease."""
+
+_SESSIONS: KeyPath = ("transport", "unicast", "max_sessions")
+_LEAST_SESSIONS = 16
+"""Least number of sessions for the workers of one daemon and its commands."""
 
 _PROTOCOLS: KeyPath = ("transport", "link", "protocols")
 _GOSSIP: KeyPath = ("scouting", "gossip", "enabled")
@@ -51,7 +61,14 @@ def unusable(tree: Tree, section: KeyPath, config: Config) -> Iterator[Flaw]:
     for path, least, what in _LEAST:
         if isinstance(value := _found(tree, path), int) and value < least:
             yield path, f"{value} permits no {what}; leave it out"
+    if isinstance(value := _found(tree, _LEASE), int) and value < _LEAST_LEASE_MS:
+        yield _LEASE, f"{value} ms would end links again and again; set at least {_LEAST_LEASE_MS}, or leave it out"
     yield from _denies_everything(tree)
+    protocols, listens = _found(tree, _PROTOCOLS), config.hub.listen.partition("/")[0]
+    if protocols is not None and section != DIALECTS and listens not in protocols:
+        yield _PROTOCOLS, f"must contain {listens!r}, the protocol of 'hub.listen'"
+    elif protocols == []:
+        yield _PROTOCOLS, "permits no link; leave it out"
     if section == DIALECTS:
         yield from _shared_listeners(tree, len(config.zenoh.dialects))
         yield from _without_router(tree) if config.zenoh.router is None else ()
@@ -61,9 +78,8 @@ def unusable(tree: Tree, section: KeyPath, config: Config) -> Iterator[Flaw]:
         return
     if tree.get("namespace"):
         yield ("namespace",), "workers and commands would not find each other; 'hub.domain' separates hubs"
-    protocols, listens = _found(tree, _PROTOCOLS), config.hub.listen.partition("/")[0]
-    if protocols and listens not in protocols:
-        yield _PROTOCOLS, f"must contain {listens!r}, the protocol of 'hub.listen'"
+    if isinstance(value := _found(tree, _SESSIONS), int) and 0 < value < _LEAST_SESSIONS:
+        yield _SESSIONS, f"{value} sessions are too few for the workers and commands; set at least {_LEAST_SESSIONS}"
     workers = config.hub.zenoh if isinstance(config.hub.zenoh, dict) else {}
     if workers.get("mode", "peer") == "peer" and not _found(workers, _MULTICAST):
         yield from _unknown_peers(tree, section, config)

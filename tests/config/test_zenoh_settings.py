@@ -81,6 +81,10 @@ def test_mistakes_that_zenohs_parser_refuses_are_located(text: str, lines: list[
     [
         ("transport: {link: {tx: {batch_size: 0}}}", "transport.link.tx.batch_size", "0 permits no message; leave it out"),
         ("transport: {link: {tx: {batch_size: 8}}}", "transport.link.tx.batch_size", "8 permits no message; leave it out"),
+        ("transport: {link: {rx: {max_message_size: 10}}}", "transport.link.rx.max_message_size", "10 permits no message; leave it out"),
+        ("transport: {link: {tx: {lease: 3}}}", "transport.link.tx.lease", "3 ms would end links again and again; set at least 500, or leave it out"),
+        ("transport: {unicast: {accept_timeout: 0}}", "transport.unicast.accept_timeout", "0 permits no link; leave it out"),
+        ("transport: {unicast: {max_sessions: 2}}", "transport.unicast.max_sessions", "2 sessions are too few for the workers and commands; set at least 16"),
         ("transport: {link: {tx: {keep_alive: 0}}}", "transport.link.tx.keep_alive", "0 permits no link; leave it out"),
         ("transport: {unicast: {accept_pending: 0}}", "transport.unicast.accept_pending", "0 permits no link; leave it out"),
         ("transport: {unicast: {max_sessions: 0}}", "transport.unicast.max_sessions", "0 permits no link; leave it out"),
@@ -90,6 +94,7 @@ def test_mistakes_that_zenohs_parser_refuses_are_located(text: str, lines: list[
         (f"access_control: {{enabled: true, {NO_RULES}}}", "access_control", ALLOWS_NOTHING),
         (f"access_control: {{enabled: true, rules: [{RULE}], subjects: [{{id: s}}], policies: []}}", "access_control", ALLOWS_NOTHING),
         ("transport: {link: {protocols: [udp]}}", "transport.link.protocols", "must contain 'tcp', the protocol of 'hub.listen'"),
+        ("transport: {link: {protocols: []}}", "transport.link.protocols", "must contain 'tcp', the protocol of 'hub.listen'"),
         ("namespace: robot1", "namespace", "workers and commands would not find each other; 'hub.domain' separates hubs"),
     ],
 )  # fmt: skip
