@@ -79,8 +79,8 @@ def packages(side: str, package: str, enabled: Enabled, lacking: str) -> Finding
     return warn(f"the {name} side stays off: {lacking}", f"if {name} is not wanted, set {side}.enabled: false")
 
 
-def early_cure(renewal: str) -> str:
-    """Return the cure for a certificate that is not valid yet; ``renewal`` says how to make a new one."""
+def outdated_cure(renewal: str) -> str:
+    """Return the cure for a certificate that is not valid now; ``renewal`` says how to make a new one."""
     now = f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC"
     return f"set this machine's clock if it is not {now} now; if the clock is right: {renewal}, then copy the files"
 

@@ -10,6 +10,7 @@ import json
 import logging
 import os
 import socket
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -282,6 +283,7 @@ class RouterWorker(Worker):
         self._namesakes = Namesakes(session, hub.domain, config.name, own)
         head = StatusHead({"daemon": config.name, "worker": "router", "side": "router"})
         control.serve("status", lambda _params: self._status(head, config, session))
+        control.serve("time", lambda _params: {"time_ns": time.time_ns()})  # a daemon without sides has a clock, too
 
     def _status(self, head: StatusHead, config: Config, session: zenoh.Session) -> dict[str, Any]:
         members = _members(session)

@@ -37,6 +37,8 @@ def test_router_runs_and_reports_its_status():
             (answer,) = hub.ask("status", {}, worker="router")
             assert answer.daemon == "robot1"
             check_document(answer.value, "router")
+            (clock,) = hub.ask("time", {}, worker="router")
+            assert abs(clock.value["time_ns"] - time.time_ns()) < 60e9, "for the doctor, also without sides"
             assert (answer.value["state"], answer.value["sessions"]) == ("running", 1)
             assert worker.health().text.startswith("1 session")
         assert worker.reload(router_config(endpoint))

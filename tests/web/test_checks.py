@@ -52,7 +52,9 @@ def test_certificate_and_key_are_examined(tmp_path: Path, days: int, mode: int, 
     authority.make()
     authority.issue("robot1", days=days)
     (tmp_path / "robot1.key").chmod(mode)
-    assert seen in only(check_certificate(place(tmp_path, names=names))).seen
+    finding = only(check_certificate(place(tmp_path, names=names)))
+    assert seen in finding.seen
+    assert ("set this machine's clock if it is not" in finding.cure) is (days == 0)
 
 
 def test_the_key_of_another_certificate_is_reported(tmp_path: Path) -> None:

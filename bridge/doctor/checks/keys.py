@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bridge.doctor.check import Finding, Findings, early_cure, fail, ok, skip, warn
+from bridge.doctor.check import Finding, Findings, fail, ok, outdated_cure, skip, warn
 from bridge.doctor.context import CheckContext
 from bridge.hub.errors import HubConfigError
 from bridge.hub.security.certificates import Certificate, CertificateError, read_certificate, signed_by
@@ -56,13 +56,13 @@ def _untrusted(name: str, context: CheckContext) -> list[Finding]:
 
 def _validity(certificate: Certificate) -> list[Finding]:
     """Return a finding if a certificate is not valid yet, has expired, or expires soon."""
-    renew = f"{certificate.renewal}, then copy the files; the router loads them without a restart"
+    loads = "the router loads them without a restart"
     if outdated := certificate.outdated():
-        early = certificate.begins_later()
-        return [fail(f"{outdated}: no machine accepts it", early_cure(certificate.renewal) if early else renew)]
+        return [fail(f"{outdated}: no machine accepts it", f"{outdated_cure(certificate.renewal)}; {loads}")]
     left = certificate.days_left()
     if left < SOON_DAYS:
-        return [warn(f"{certificate.title} expires on {certificate.until:%Y-%m-%d}, in {left} days", renew)]
+        seen = f"{certificate.title} expires on {certificate.until:%Y-%m-%d}, in {left} days"
+        return [warn(seen, f"{certificate.renewal}, then copy the files; {loads}")]
     return []
 
 

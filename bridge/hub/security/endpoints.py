@@ -19,6 +19,7 @@ from typing import Any, Protocol
 import psutil
 from typing_extensions import override
 
+from bridge.clock import steady
 from bridge.concurrency import WorkerPool
 from bridge.hub.listeners import has_address
 from bridge.hub.security.handshake import Attempt, HostPort, Identity, attempt, resolve_only
@@ -94,7 +95,7 @@ class EndpointStatus:
     Attributes:
         way: ``connect`` or ``listen``.
         machine: the name in the other machine's certificate; "" if it is unknown or the endpoint is a listener.
-        since: system time at which the state began, in s.
+        since: when the state began, in s: within this module on the steady clock, else system time (`as_of_now`).
     """
 
     endpoint: str
@@ -114,6 +115,10 @@ class EndpointStatus:
     def __str__(self) -> str:
         return self.text(HUB_OPEN.prefix)
 
+    def as_of_now(self) -> EndpointStatus:
+        """Return the status with ``since`` as system time; the age stays right if the system clock was set since."""
+        return replace(self, since=round(time.time() - (steady() - self.since), 1))
+
     def text(self, prefix: str) -> str:
         """Return the status for people, without the time and the cure; it begins with the prefix."""
         text = f"{prefix}{self.way} {self.endpoint}: {self.state}"
@@ -123,10 +128,11 @@ class EndpointStatus:
 
 
 def closed_endpoints(listen: Sequence[str], connect: Sequence[str], reason: str, since: float) -> list[EndpointStatus]:
-    """Return the statuses of a router's endpoints that it could not open."""
+    """Return the statuses of a router's endpoints that it could not open; ``since`` is on the steady clock."""
     places = [(place, "listen") for place in listen] + [(place, "connect") for place in connect]
     return [
-        EndpointStatus(place, direction, EndpointState.CLOSED, reason, "", "", since) for place, direction in places
+        EndpointStatus(place, direction, EndpointState.CLOSED, reason, "", "", since).as_of_now()
+        for place, direction in places
     ]
 
 
@@ -135,7 +141,7 @@ class _Endpoint:
 
     def __init__(self, endpoint: str, way: str, state: EndpointState, owner: Owner) -> None:
         self._owner = owner
-        self.status = EndpointStatus(endpoint, way, state, "", "", "", time.time())
+        self.status = EndpointStatus(endpoint, way, state, "", "", "", steady())
         self.place = HostPort.of(endpoint)
 
     @property
@@ -146,7 +152,7 @@ class _Endpoint:
     def set(self, reason: Reason, machine: str = "") -> bool:
         """Set the state and its reason; return False if nothing has changed."""
         before = self.status
-        since = before.since if reason.state == before.state else time.time()
+        since = before.since if reason.state == before.state else steady()
         self.status = EndpointStatus(
             before.endpoint, before.way, reason.state, reason.text, self._owner.cure_of(reason), machine, since
         )
@@ -390,7 +396,7 @@ class EndpointMonitor:
 
     def statuses(self) -> list[EndpointStatus]:
         """Return the state of each endpoint."""
-        return [endpoint.status for endpoint in (*self._listen, *self._connect)]
+        return [endpoint.status.as_of_now() for endpoint in (*self._listen, *self._connect)]
 
     def refused(self) -> int:
         """Return the number of connections that the listeners refused because of a certificate."""

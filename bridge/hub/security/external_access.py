@@ -9,6 +9,7 @@ from dataclasses import asdict
 
 import zenoh
 
+from bridge.clock import steady
 from bridge.config.model import Config
 from bridge.config.rules import commands
 from bridge.hub.errors import HubError
@@ -37,7 +38,7 @@ class ExternalAccess:
         self.trouble = ""
         self._zenoh_log = zenoh_log
         self._keys: KeyWatch | None = None
-        self._since, self._retry_at = time.time(), 0.0
+        self._since, self._retry_at = steady(), 0.0
 
     def open(self, config: Config) -> None:
         """Open the router; if that fails, log the reason once, and retry in `check`."""
@@ -49,7 +50,7 @@ class ExternalAccess:
         except HubError as err:
             if str(err) != self.trouble:
                 _log.error("hub.open: %s", err)
-                self._since = time.time()
+                self._since = steady()
             self.trouble = str(err)
             self._retry_at = time.monotonic() + _RETRY_SECONDS
             return
@@ -79,7 +80,7 @@ class ExternalAccess:
         """Close the router. Safe to call twice."""
         router, self.router = self.router, None
         self._keys = None
-        self.trouble, self._retry_at, self._since = "", 0.0, time.time()
+        self.trouble, self._retry_at, self._since = "", 0.0, steady()
         if router is not None:
             router.close()
 
