@@ -20,6 +20,7 @@ import zenoh
 
 from bridge.hub.errors import zenoh_reason
 from bridge.hub.opening import open_session
+from bridge.hub.shared_memory import RESTART
 from bridge.hub.zenoh_config import LISTENERS
 
 _log = logging.getLogger(__name__)
@@ -71,9 +72,7 @@ def trouble() -> str:
         if not _closed:
             return ""
         reason = next(iter(_closed.values()))
-        return (
-            f"no program can connect at {', '.join(_closed)} (hub.zenoh): {reason}; correct it, or restart this worker"
-        )
+        return f"no program can connect at {', '.join(_closed)} (hub.zenoh): {reason}; correct it, or {RESTART}"
 
 
 def arrived() -> str:

@@ -29,7 +29,7 @@ import zenoh
 from bridge.hub.errors import zenoh_reason
 from bridge.hub.freeing import keep
 from bridge.hub.panics import is_panic, watched
-from bridge.hub.shared_memory import FOLDER, room_trouble
+from bridge.hub.shared_memory import FOLDER, RESTART, room_trouble
 from bridge.hub.zenoh_config import POOL, without_shared_memory
 
 _log = logging.getLogger(__name__)
@@ -136,7 +136,7 @@ def _is_empty(file: Path) -> bool:
 def _note(reason: str, level: int) -> None:
     """Log only the first reason; store the reason for `trouble` if the level is at least a warning."""
     global _noted, _trouble
-    text = f"large messages go over the network link instead of shared memory: {reason}; then restart this worker"
+    text = f"large messages go over the network link instead of shared memory: {reason}; then {RESTART}"
     with _lock:
         known, _noted = _noted, True
         if level >= logging.WARNING:

@@ -22,6 +22,8 @@ FOLDER = Path("/dev/shm")  # noqa: S108 - the system's folder for POSIX shared m
 YOUNG_SECONDS = 5.0
 """A file younger than this may not be locked yet."""
 
+RESTART = "restart this worker ('kill PID' with the pid in 'midspan status'; the daemon starts it again)"
+
 NAME = re.compile(r"\d+\.zenoh")
 _LOCK = re.compile(r"FLOCK\s+\S+\s+\S+\s+(\d+) ([0-9a-f]+):([0-9a-f]+):(\d+) ")
 

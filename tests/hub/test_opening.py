@@ -90,7 +90,7 @@ def test_a_limit_of_locked_memory_is_logged_but_no_warning(
         open_session(config())
     assert zenoh_open.switches == [False]
     assert [record.levelname for record in caplog.records] == ["INFO"]
-    assert "this user may lock 8.4 MB of memory; then restart this worker" in caplog.text
+    assert "this user may lock 8.4 MB of memory; then restart this worker ('kill PID' with the pid in" in caplog.text
     assert opening.trouble() == ""
 
 

@@ -42,7 +42,7 @@ from bridge.adapters.ros2.graph.origins import ALL_NUMBERS, new_prefix, particip
 from bridge.adapters.ros2.graph.spdp import MULTICAST, PARTICIPANTS
 from bridge.adapters.ros2.releases import current
 from bridge.config.model import Config
-from bridge.hub.shared_memory import FOLDER, room_trouble
+from bridge.hub.shared_memory import FOLDER, RESTART, room_trouble
 from bridge.state_file import keep
 
 _log = logging.getLogger(__name__)
@@ -265,5 +265,5 @@ def _segment(config: Config, state: Path) -> int:
     size = neighbors.segment_size()
     if not size and config.ros2.profile is None:
         reason = room_trouble(neighbors.NEEDED_ROOM)
-        _log.warning("Fast DDS uses only UDP, not shared memory: %s; then restart this worker", reason)
+        _log.warning("Fast DDS uses only UDP, not shared memory: %s; then %s", reason, RESTART)
     return size
