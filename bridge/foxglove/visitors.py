@@ -28,6 +28,11 @@ class Visitor:
     sent: int = 0
 
     @property
+    def person(self) -> str:
+        """Identifies the client across its connections: its name, if known, else its address."""
+        return self.grant.name or self.address
+
+    @property
     def who(self) -> str:
         """The client's name, if known, and its address."""
         return f"{self.grant.name} at {self.address}" if self.grant.name else self.address

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import threading
 from typing import Any
@@ -178,11 +179,53 @@ def test_a_halt_on_the_hub_ends_driving_until_the_control_is_released(driven: De
         until(lambda: driven.far.wait(subscription, 1)[-1]["linear"]["x"] == 0.0, "zero is commanded")
 
 
-def test_driving_is_refused_while_a_person_drives_with_another_program(
-    driven: Desk, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Extend the times after which a velocity ends and a control counts as released: a busy app may be silent."""
     for module, name in ((hold, "HOLD_SECONDS"), (publishing, "RELEASED_SECONDS")):
-        monkeypatch.setattr(module, name, 60.0)  # on a busy machine, the app may be silent for longer
+        monkeypatch.setattr(module, name, 60.0)
+
+
+@pytest.mark.usefixtures("patience")
+@pytest.mark.parametrize("stopped", ["before", "after", "refused"])
+@pytest.mark.parametrize("end", ["channel", "connection", "new connection first"])
+def test_a_control_that_is_held_during_a_reconnection_is_not_pressed_anew(driven: Desk, end: str, stopped: str) -> None:
+    """The app reconnects by itself, and goes on sending the velocity of a control that is still held."""
+    subscription = driven.far.subscribe("/cmd_vel", "geometry_msgs/Twist")
+
+    def stop() -> None:
+        if stopped == "refused":
+            other = ManualControl(driven.far.hub, "/cmd_vel")
+            other.begin("anna (web)")
+            drive_until_refused(app, number, "anna (web) drives manually")
+            other.end()
+            until(lambda: not driven.live.host.node.hub.graph.drivers("/cmd_vel"), "control is free")
+        else:
+            assert MANUAL_DRIVING_HALTED in [answer.value for answer in driven.far.hub.ask("halt", {}, timeout=20.0)]
+
+    with driven.app() as app, contextlib.ExitStack() as stack:
+        number = app.advertise("/cmd_vel", TWIST, "json")
+        if stopped != "refused":
+            drive_until_received(driven, app, number, subscription)
+        if stopped != "after":
+            stop()
+        again = app if end == "channel" else stack.enter_context(driven.app())
+        if end == "channel":
+            app.unadvertise(number)
+        elif end == "connection":
+            app.close()
+        if stopped == "after":
+            stop()
+        count = len(driven.far.wait(subscription, 0, 0.0))
+        number = again.advertise("/cmd_vel", TWIST, "json")
+        drive_until_refused(again, number, "release the control first")
+        assert not [entry for entry in driven.far.wait(subscription, 0, 0.0)[count:] if entry["linear"]["x"]]
+        again.publish(number, velocity(0.0))
+        drive_until_received(driven, again, number, subscription)
+
+
+@pytest.mark.usefixtures("patience")
+def test_driving_is_refused_while_a_person_drives_with_another_program(driven: Desk) -> None:
     subscription = driven.far.subscribe("/cmd_vel", "geometry_msgs/Twist")
     other = ManualControl(driven.far.hub, "/cmd_vel")
     with driven.app() as app:
@@ -214,6 +257,32 @@ def test_a_stall_of_the_server_does_not_release_a_control() -> None:
         stalls.hung.return_value = stalled
         client.send(MagicMock(data=b"", arrived=float(arrived)))
         assert driving.hold.call_args.args[-1] == float(pressed)
+
+
+def test_a_control_that_is_pressed_after_a_reconnection_drives(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A pause since the new channel was opened, or zero, shows that the control was released."""
+    stalls, coder = MagicMock(), MagicMock()
+    stalls.hung.return_value = False
+    driving = MagicMock()
+
+    def pressed(client: publishing.ClientVelocity, x: float, arrived: float) -> float:
+        coder.fields.return_value = {"linear": {"x": x, "y": 0.0}, "angular": {"z": 0.0}}
+        client.send(MagicMock(data=b"", arrived=arrived))
+        at: float = driving.hold.call_args.args[-1]
+        return at
+
+    def opened(now: float, before: publishing.ClientVelocity | None) -> publishing.ClientVelocity:
+        monkeypatch.setattr(publishing, "steady", lambda: now)
+        return publishing.ClientVelocity(driving, MagicMock(), MagicMock(), coder, stalls, before)
+
+    first = opened(10.0, None)
+    assert pressed(first, 0.1, 10.0) == 10.0
+    assert pressed(opened(70.0, first), 0.1, 71.0) == 10.0, "no pause while the app was not connected"
+    assert pressed(opened(70.0, first), 0.1, 72.0) == 72.0
+    second = opened(70.0, first)
+    assert (pressed(second, 0.0, 70.5), pressed(second, 0.1, 71.0), pressed(second, 0.1, 72.0)) == (70.5, 71.0, 71.0)
+    assert pressed(first, 0.0, 72.0) == 72.0
+    assert pressed(opened(73.0, first), 0.1, 73.0) == 73.0
 
 
 @pytest.mark.parametrize("end", ["unadvertise", "leave", "cut", "the server stops"])

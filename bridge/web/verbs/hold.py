@@ -120,6 +120,10 @@ class HandDriving:
         held = pressed <= self._refused.get(page, -math.inf)
         return self._others() or ("release the control first" if held else "")
 
+    def block(self, page: HandDriver, pressed: float) -> None:
+        """Refuse this press of a page's control, which was refused on another connection."""
+        self._refused[page] = pressed
+
     def release(self, page: HandDriver) -> None:
         """Stop driving for a page."""
         self._refused.pop(page, None)
