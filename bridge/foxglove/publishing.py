@@ -11,6 +11,7 @@ import json
 import logging
 import math
 from abc import ABC, abstractmethod
+from dataclasses import replace
 from typing import Any
 
 from typing_extensions import override
@@ -21,6 +22,7 @@ from bridge.client.types import ros2_name
 from bridge.clock import steady
 from bridge.config.sections.section import ROS2_NAME
 from bridge.foxglove.events import Advertised, ClientMessage, Events
+from bridge.foxglove.presses import Press, Presses
 from bridge.foxglove.server import FoxgloveServer
 from bridge.foxglove.status import ChannelStatus
 from bridge.foxglove.visitors import Visitor, Visitors
@@ -45,9 +47,6 @@ DEPTH = 10  # the depth of the publishers' QoS
 
 RELEASED_SECONDS = 1.5
 """A control counts as released after this time without a message. The app's panel sends one a second."""
-
-MOST_DRIVERS = 100
-"""Maximum number of persons whose last velocity is remembered."""
 
 STALL_SECONDS = 0.5
 """After a longer stall of this process, messages may have arrived that have not been read yet."""
@@ -170,24 +169,21 @@ class ClientTopic(PublishedChannel):
 class ClientVelocity(PublishedChannel):
     """A client's channel for the base's velocity; implements `bridge.web.verbs.hold.HandDriver`.
 
-    ``before`` is the last channel on which the same person sent velocities. The app may have reconnected while the
-    control is held: if the velocity was not zero, this channel continues that press until the control is released here.
+    ``before`` is the person's press on an earlier channel, if it was not released: the app may have reconnected while
+    the control is held. This channel then continues that press until the control is released here.
     """
 
     def __init__(
         self, driving: HandDriving, channel: Advertised, visitor: Visitor, coder: Coder, stalls: StallDetector,
-        before: ClientVelocity | None = None,
+        before: Press | None = None,
     ) -> None:  # fmt: skip
         super().__init__(channel, visitor)
         self.who, self.person = visitor.who, visitor.person
         self._driving, self._coder, self._stalls = driving, coder, stalls
         self._refusal = ""
-        self._arrived = self._pressed = self._refused = -math.inf
-        self.moves = False  # whether the last velocity was not zero
-        if before is not None and before.moves:
-            self._arrived, self._pressed, self.moves = steady(), before._pressed, True
-            if before._refused == before._pressed:
-                driving.block(self, self._pressed)
+        self.press = Press() if before is None else replace(before, arrived=steady())
+        if self.press.refused:
+            driving.block(self, self.press.pressed)
 
     @override
     def send(self, message: ClientMessage) -> None:
@@ -202,12 +198,12 @@ class ClientVelocity(PublishedChannel):
             self.counters.dropped("bad")
             raise NotPublishedError("a velocity must be finite")
         self._refusal = ""
-        silent = message.arrived - self._arrived > RELEASED_SECONDS and not self._stalls.hung(STALL_SECONDS)
-        moved, self.moves = self.moves, any((x, y, rotation))
-        if silent or not (moved and self.moves):
-            self._pressed = message.arrived  # an app has no message for a released control: it is silent, or sends zero
-        self._arrived = message.arrived
-        self._driving.hold(self, x, y, rotation, message.arrived, self._pressed)
+        press, moves = self.press, any((x, y, rotation))
+        silent = message.arrived - press.arrived > RELEASED_SECONDS and not self._stalls.hung(STALL_SECONDS)
+        if silent or not (press.held and moves):
+            press.pressed, press.refused = message.arrived, False
+        press.arrived, press.held = message.arrived, moves
+        self._driving.hold(self, x, y, rotation, message.arrived, press.pressed)
         if self._refusal:
             self.counters.dropped("held")
             raise NotPublishedError(self._refusal)
@@ -218,7 +214,7 @@ class ClientVelocity(PublishedChannel):
 
     def refuse(self, reason: str) -> None:
         """Store why the client may not drive."""
-        self._refusal, self._refused = reason, self._pressed
+        self._refusal, self.press.refused = reason, True
 
     @override
     def close(self) -> None:
@@ -241,7 +237,7 @@ class Publishing:
         self._rules = RuleSet(host.config.rules)
         self._channels: dict[tuple[int, int], PublishedChannel] = {}
         self._warned: dict[tuple[int, int], str] = {}
-        self._drivers: dict[str, ClientVelocity] = {}  # by person: where the last velocity came from
+        self._presses = Presses(host)
         self._stalls: StallDetector | None = None
         self._closed = False
 
@@ -300,7 +296,8 @@ class Publishing:
         if self._stalls is None:
             self._stalls = StallDetector()
             self._stalls.start()
-        return ClientVelocity(self._driving, channel, visitor, coder, self._stalls, self._drivers.get(visitor.person))
+        before = self._presses.held_by(visitor.person)
+        return ClientVelocity(self._driving, channel, visitor, coder, self._stalls, before)
 
     def _send(self, key: tuple[int, int], published: PublishedChannel, message: ClientMessage) -> None:
         try:
@@ -308,11 +305,8 @@ class Publishing:
         except NotPublishedError as err:
             published.counters.failed(str(err))
             self._warn(key, f"{published.channel.topic}: {err}")
-        if isinstance(published, ClientVelocity) and published.moves:
-            self._drivers.pop(published.person, None)
-            self._drivers[published.person] = published
-            while len(self._drivers) > MOST_DRIVERS:
-                del self._drivers[next(iter(self._drivers))]
+        if isinstance(published, ClientVelocity):
+            self._presses.note(published.person, published.press)
 
     def _warn(self, key: tuple[int, int], text: str) -> None:
         """Warn all clients (the SDK cannot address a single one), unless the text is the same as before."""

@@ -12,6 +12,7 @@ import pytest
 
 from bridge.client.manual import ManualControl
 from bridge.foxglove import publishing
+from bridge.foxglove.presses import Press
 from bridge.hub.control import MANUAL_DRIVING_HALTED
 from bridge.messages.json import from_json
 from bridge.web.verbs import hold
@@ -188,7 +189,7 @@ def patience(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("patience")
 @pytest.mark.parametrize("stopped", ["before", "after", "refused"])
-@pytest.mark.parametrize("end", ["channel", "connection", "new connection first"])
+@pytest.mark.parametrize("end", ["channel", "connection", "new connection first", "restart"])
 def test_a_control_that_is_held_during_a_reconnection_is_not_pressed_anew(driven: Desk, end: str, stopped: str) -> None:
     """The app reconnects by itself, and goes on sending the velocity of a control that is still held."""
     subscription = driven.far.subscribe("/cmd_vel", "geometry_msgs/Twist")
@@ -201,7 +202,10 @@ def test_a_control_that_is_held_during_a_reconnection_is_not_pressed_anew(driven
             other.end()
             until(lambda: not driven.live.host.node.hub.graph.drivers("/cmd_vel"), "control is free")
         else:
-            assert MANUAL_DRIVING_HALTED in [answer.value for answer in driven.far.hub.ask("halt", {}, timeout=20.0)]
+            until(
+                lambda: MANUAL_DRIVING_HALTED in [a.value for a in driven.far.hub.ask("halt", {}, timeout=20.0)],
+                "manual driving is halted",
+            )
 
     with driven.app() as app, contextlib.ExitStack() as stack:
         number = app.advertise("/cmd_vel", TWIST, "json")
@@ -209,6 +213,8 @@ def test_a_control_that_is_held_during_a_reconnection_is_not_pressed_anew(driven
             drive_until_received(driven, app, number, subscription)
         if stopped != "after":
             stop()
+        if end == "restart":
+            driven.open_with(**DRIVE)
         again = app if end == "channel" else stack.enter_context(driven.app())
         if end == "channel":
             app.unadvertise(number)
@@ -271,18 +277,19 @@ def test_a_control_that_is_pressed_after_a_reconnection_drives(monkeypatch: pyte
         at: float = driving.hold.call_args.args[-1]
         return at
 
-    def opened(now: float, before: publishing.ClientVelocity | None) -> publishing.ClientVelocity:
+    def opened(now: float, before: Press | None) -> publishing.ClientVelocity:
         monkeypatch.setattr(publishing, "steady", lambda: now)
         return publishing.ClientVelocity(driving, MagicMock(), MagicMock(), coder, stalls, before)
 
     first = opened(10.0, None)
     assert pressed(first, 0.1, 10.0) == 10.0
-    assert pressed(opened(70.0, first), 0.1, 71.0) == 10.0, "no pause while the app was not connected"
-    assert pressed(opened(70.0, first), 0.1, 72.0) == 72.0
-    second = opened(70.0, first)
+    assert pressed(opened(70.0, first.press), 0.1, 71.0) == 10.0, "no pause while the app was not connected"
+    assert pressed(opened(70.0, first.press), 0.1, 72.0) == 72.0
+    second = opened(70.0, first.press)
     assert (pressed(second, 0.0, 70.5), pressed(second, 0.1, 71.0), pressed(second, 0.1, 72.0)) == (70.5, 71.0, 71.0)
     assert pressed(first, 0.0, 72.0) == 72.0
-    assert pressed(opened(73.0, first), 0.1, 73.0) == 73.0
+    assert pressed(opened(73.0, first.press), 0.1, 73.0) == 73.0
+    assert pressed(opened(73.0, None), 0.1, 73.0) == 73.0
 
 
 @pytest.mark.parametrize("end", ["unadvertise", "leave", "cut", "the server stops"])
