@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from typing_extensions import override
 
 from bridge.clock import DONE_TOPIC, DONE_TYPE
@@ -138,27 +139,30 @@ class Simulator(Module):
             self._host.loop.post(self._hurry)
 
     def _velocity(self, message: dict[str, Any]) -> None:
-        self._try(lambda: self.simulation.command(messages.velocity(message)))
+        velocity = messages.velocity(message)
+        self._try(lambda: self.simulation.command(velocity), stops=not any(velocity))
 
     def _stamped_velocity(self, message: dict[str, Any]) -> None:
         self._velocity(message["twist"])
 
     def _wheels(self, message: dict[str, Any]) -> None:
-        self._try(lambda: self._drive_wheels(message))
+        stops = len(message["velocity"]) > 0 and not np.any(message["velocity"])
+        self._try(lambda: self._drive_wheels(message, stops=stops), stops=stops)
 
-    def _drive_wheels(self, message: dict[str, Any]) -> None:
+    def _drive_wheels(self, message: dict[str, Any], *, stops: bool) -> None:
         motors = self.simulation.wheels.motors
         wanted = dict(zip(message["name"], message["velocity"], strict=False))
         if set(wanted) != set(motors.names):
             msg = f"wheel command for {', '.join(wanted) or 'no wheels'}; the base has {', '.join(motors.names)}"
             raise SimError(msg)
         at = message["header"]["stamp"]["sec"] * 1_000_000_000 + message["header"]["stamp"]["nanosec"]
-        if at and self._now() - at > self.simulation.robot.motor_timeout * 1e9:
+        if at and not stops and self._now() - at > self.simulation.robot.motor_timeout * 1e9:
             raise SimError("the wheel command is older than the motors' time-out")
         motors.drive([wanted[name] for name in motors.names])
 
-    def _try(self, do: Callable[[], None]) -> None:
-        if self._pace is not None and self._pace.stood_still():
+    def _try(self, do: Callable[[], None], *, stops: bool) -> None:
+        """Execute a command, unless it may be old; one that ``stops`` the robot is always executed."""
+        if self._pace is not None and self._pace.stood_still() and not stops:
             self._refuse("the command may have been queued while the simulator stood still")
             return
         try:

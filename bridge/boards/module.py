@@ -104,7 +104,8 @@ class ControlBoards(Module):
             if len(ages) >= _MAX_COMMANDERS and subscription.sender not in ages:
                 del ages[next(iter(ages))]
             age = ages.setdefault(subscription.sender, AgeGate()).age(subscription.sent_ns)
-            if age > board.timeout or self._stall.stood_still(board.timeout):
+            stale = age > board.timeout or self._stall.stood_still(board.timeout)
+            if stale and not _stops(message):
                 subscription.counters.dropped("stale")
                 return
             problem = link.command(message["velocity"], message["position"], message["name"])
@@ -115,6 +116,11 @@ class ControlBoards(Module):
             self.refused[board.command] = problem
 
         subscription = self._host.node.subscription(board.command, JOINTS, on_command, _NEWEST)
+def _stops(message: dict[str, Any]) -> bool:
+    """Return whether a command only stops joints, however late it is."""
+    return len(message["velocity"]) > 0 and not np.any(message["velocity"])
+
+
 
 
 def joint_state(joints: Joints, data: JointData, stamp: dict[str, int]) -> dict[str, Any]:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import replace
 
 from bridge.hub.wire.qos import Durability, Qos
+from bridge.messages.velocities import VELOCITIES, is_zero
 from bridge.routing.counters import Counters
 from bridge.routing.limits import Priority, RateLimit
 from bridge.routing.rules import RoutePolicy
@@ -60,20 +62,25 @@ class TopicAdmission:
             return replace(qos, durability=Durability.VOLATILE)
         return qos
 
-    def over_rate(self, *, latched: bool) -> bool:
-        """Return whether the rule's ``rate`` drops a message that arrives now; latched ones always pass."""
-        if self._limit is None or latched or self._limit.passes():
+    def over_rate(self, data: Callable[[], bytes], *, latched: bool) -> bool:
+        """Return whether the rule's ``rate`` drops a message that arrives now; latched ones and zeros always pass."""
+        if self._limit is None or latched or self._limit.passes() or self._stops(data):
             return False
         self.counters.dropped("rate")
         return True
 
-    def is_stale(self, age: AgeGate, time_ns: int | None) -> bool:
-        """Return whether a command is too old, or may have waited while this process hung.
+    def is_stale(self, data: Callable[[], bytes], age: AgeGate, time_ns: int | None) -> bool:
+        """Return whether a command is too old, or may have waited while this process hung; zeros never are.
 
         ``age`` is that of its publisher, ``time_ns`` its source timestamp if it has one.
         """
         timeout = self.policy.timeout
-        return self._stall_detector.stood_still(timeout) or (time_ns is not None and age.age(time_ns) > timeout)
+        stale = self._stall_detector.stood_still(timeout) or (time_ns is not None and age.age(time_ns) > timeout)
+        return stale and not self._stops(data)
+
+    def _stops(self, data: Callable[[], bytes]) -> bool:
+        """Return whether a message, as CDR or ROS 1 bytes, stops a base: it must pass even if it is late."""
+        return self._type_name in VELOCITIES and is_zero(self._type_name, data())
 
     def crowded_out(self) -> None:
         """Count a message that a newer message displaced from a queue."""

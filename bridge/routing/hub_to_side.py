@@ -195,7 +195,7 @@ class HubToSideRoute(TopicRoute):
         sample, sources = pending.message, self._sources
         source, endpoint = sources.of(sample), sources.waiting.get(sample.gid)
         if source is not None:
-            if not self.over_rate(latched=source.latched):
+            if not self.over_rate(sample.data, latched=source.latched):
                 self._publish(sample, source)
         elif endpoint is not None:
             if self.latches(endpoint.qos):
@@ -213,7 +213,7 @@ class HubToSideRoute(TopicRoute):
 
     def _admits(self, sample: HubSample) -> bool:
         source = self._sources.of(sample)
-        return source is None or not self.over_rate(latched=source.latched)
+        return source is None or not self.over_rate(sample.data, latched=source.latched)
 
     def handle(self, sample: HubSample) -> None:
         """Publish a message on the side, or hold it until its publisher is known.
@@ -273,7 +273,7 @@ class HubToSideRoute(TopicRoute):
         if self._is_blocked(source):
             self.counters.dropped("held")
             return
-        if self._priority is Priority.COMMAND and self.is_stale(source.age, sample.source_time_ns):
+        if self._priority is Priority.COMMAND and self.is_stale(sample.data, source.age, sample.source_time_ns):
             self.counters.dropped("stale")
             return
         publishers = self._publishers

@@ -7,10 +7,7 @@ import time
 from enum import Enum
 
 from bridge.hub.wire.qos import Durability, Qos, Reliability
-from bridge.messages.velocities import VELOCITIES
-
-COMMAND_NAME = re.compile(r"(^|[/_])(cmd|command)", re.IGNORECASE)
-"""Topic names that imply a velocity command."""
+from bridge.messages.velocities import COMMAND_NAME, VELOCITIES
 
 
 class Priority(Enum):

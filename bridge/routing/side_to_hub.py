@@ -291,9 +291,9 @@ class SideToHubRoute(TopicRoute):
         size = len(payload)
         if self._hold is not None and self._is_blocked():
             self.counters.dropped("held")
-        elif self._priority is Priority.COMMAND and self.is_stale(publisher.age, time_ns):
+        elif self._priority is Priority.COMMAND and self.is_stale(lambda: payload, publisher.age, time_ns):
             self.counters.dropped("stale")
-        elif (self._limit is not None and self.over_rate(latched=publisher.latched)) or self.too_large(size):
+        elif (self._limit and self.over_rate(lambda: payload, latched=publisher.latched)) or self.too_large(size):
             return
         elif (self._queues and self._large.busy) or (
             size > BULK and not (at_once and publisher.hub_publisher.blocks() is not None)

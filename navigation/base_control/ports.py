@@ -89,7 +89,7 @@ class CommandInputs:
         section: BaseControlSection,
         base: DrivenBase,
         now: Callable[[], float],  # the time of commands, seconds
-        stall_detector: StallDetector,  # detects stalls of this process; commands that waited meanwhile are dropped
+        stall_detector: StallDetector,  # detects stalls of this process, after which only zero is accepted
     ) -> None:
         self._base, self._now, self._stall_detector = base, now, stall_detector
         self._log = host.log
@@ -126,7 +126,7 @@ class CommandInputs:
         target: CommandInput,
         read: Callable[[Mapping[str, Any]], Velocity | None],
     ) -> None:
-        """Subscribe to a topic; messages that are older than the input's time-out are dropped.
+        """Subscribe to a topic; messages that are older than the input's time-out are dropped, except zero.
 
         If a sender's command ends (``read`` returns None), the base stops at once, without waiting for the time-out.
         """
@@ -140,14 +140,14 @@ class CommandInputs:
                 commanding.discard(oldest)
             age = ages.setdefault(subscription.sender, AgeGate()).age(subscription.sent_ns)
             velocity = read(message)
-            if age > target.timeout:
+            if velocity is None and subscription.sender in commanding:
+                commanding.remove(subscription.sender)
+                self.apply(target, STILL)
+            elif age > target.timeout and (velocity is None or any(velocity)):
                 self._drop()
             elif velocity is not None:
                 commanding.add(subscription.sender)
                 self.apply(target, velocity)
-            elif subscription.sender in commanding:
-                commanding.remove(subscription.sender)
-                self.apply(target, STILL)
 
         subscription = host.node.subscription(topic, kind, receive, NEWEST)
 
@@ -171,7 +171,7 @@ class CommandInputs:
 
     def apply(self, target: CommandInput, velocity: Velocity, timeout: float | None = None) -> bool:
         """Pass a command to its input; return whether it is accepted. May be called on any thread."""
-        if self._stall_detector.stood_still(target.timeout):
+        if self._stall_detector.stood_still(target.timeout) and any(velocity):
             self._drop()
             return False
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -46,6 +47,11 @@ class Tape:
         self.bad: list[tuple[PlayTopic, str]] = []
         self.troubles: list[str] = []
         self._messages = [PlayMessage(topic, START + round(at * NS), str(at).encode()) for at, topic in messages]
+
+    def move(self, *payloads: bytes) -> None:
+        """Set the payloads of the last messages."""
+        for number, data in enumerate(payloads, -len(payloads)):
+            self._messages[number] = self._messages[number]._replace(data=data)
 
     def kept(self) -> list[PlayMessage]:
         return []
@@ -132,6 +138,30 @@ def test_slightly_late_commands_are_not_published_in_a_burst() -> None:
     stage.player.run()
     assert stage.player.dropped == {("/cmd_vel", "late"): 4}
     assert stage.reports == []
+
+
+@pytest.mark.parametrize(("name", "head"), [("Twist", b"\0\1\0\0"), ("TwistStamped", b"\0\1\0\0" + bytes(16))])
+@pytest.mark.parametrize("stall", [0.19, 0.7])
+def test_a_late_zero_velocity_is_played(name: str, head: bytes, stall: float) -> None:
+    type_name = f"geometry_msgs/msg/{name}"
+    drive = PlayTopic(
+        BagTopic("/cmd_vel", type_name, World.ROS2), "/cmd_vel", type_name, "", None, "", Qos(), command=True
+    )
+    moving, zero = (head + struct.pack("<6d", x, 0.0, 0.0, 0.0, 0.0, 0.0) for x in (2.0, 0.0))
+    stage = Stage((0.0, SCAN), (0.02, drive), (0.03, drive))
+    if stall > 0.5:  # the bag's time is set back to the first message, and only that one is late
+        stage.tape.move(zero, moving)
+    else:
+        stage.tape.move(moving, zero)
+
+    def wait() -> None:
+        stage.clock.seconds += stall
+        stage.recorded.after = lambda: None
+
+    stage.recorded.after = wait
+    stage.player.run()
+    assert stage.recorded.received_on("/cmd_vel")[0] == (stall, zero.decode())
+    assert stage.player.dropped == ({} if stall > 0.5 else {("/cmd_vel", "late"): 1})
 
 
 def test_a_pause_ends_a_velocity_and_drops_old_commands() -> None:

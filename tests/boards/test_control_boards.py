@@ -142,6 +142,18 @@ def test_invalid_commands_are_refused_and_halt_stops_all_joints(robot: Robot, mo
     until(lambda: robot.speeds == [0.0, 0.0, 0.0], "all joints are stopped")
 
 
+def test_a_late_zero_stops_the_joints(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    def command(velocity: float) -> None:
+        robot.command(name=["joint0"], velocity=[velocity])
+
+    until(lambda: (command(1.0), robot.speeds[0] != 0.0)[1], "the joint moves", every=0.05)
+    monkeypatch.setattr(module.AgeGate, "age", lambda *_: 5.0)
+    until(lambda: robot.speeds[0] == 0.0, "the joint's last velocity expires", every=0.01)
+    robot.speeds[0] = 5.0
+    command(0.0)
+    until(lambda: robot.speeds[0] == 0.0, "zero stops the joint", every=0.01)
+
+
 def test_a_board_that_cannot_be_halted_does_not_keep_the_others_moving(tmp_path: Path) -> None:
     missing = {"remote": "/robot/leg", "joint_states": "/leg/joint_states"}
     with Robot(tmp_path) as robot, NameServer(port=robot.port, gc_seconds=0), served(robot) as robot.server:

@@ -88,7 +88,7 @@ class Newer:
     def __init__(self, deliver: Callable[[], None]) -> None:
         self._thread = threading.Thread(target=deliver)
 
-    def __call__(self, **_: object) -> None:
+    def __call__(self, *_: object, **__: object) -> None:
         if self._thread.ident is None:
             self._thread.start()
             self._thread.join(0.5)

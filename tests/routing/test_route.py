@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -400,6 +401,45 @@ def test_a_rate_applies_alike_in_both_directions(priority: str, latched: bool, t
         to_side.close()
     for route in (to_hub, to_side):
         assert (route.counters.messages, route.counters.drops["rate"]) == ((1, 2) if thinned else (3, 0))
+
+
+TWIST = "geometry_msgs/msg/Twist"
+MOVING, ZERO = (b"\0\1\0\0" + struct.pack("<6d", x, 0.0, 0.0, 0.0, 0.0, 0.0) for x in (0.5, 0.0))
+
+
+@pytest.mark.parametrize(("reason", "how", "moving"), [("rate", "rate", 1), ("stale", "old", 1), ("stale", "stall", 0)])
+def test_neither_rate_nor_age_drops_the_zero_that_stops_a_base(
+    monkeypatch: pytest.MonkeyPatch, reason: str, how: str, moving: int
+) -> None:
+    registry, network, topic = Registry(), FakeNetwork(), "/cmd_vel"
+    type_ = registry.ros2(TWIST)
+    policy = RoutePolicy(allowed=True, why="", name=topic, rate=0.001 if how == "rate" else None)
+    key, conversion = RouteKey(topic, TWIST, type_.type_id), Conversion(type_, type_, None)
+    received: list[bytes] = []
+    network.read_from(topic, TWIST, Qos(), MadeBy.NATIVE, "/base", lambda data, *_: received.append(data))
+    detector = StallDetector()
+    monkeypatch.setattr(detector, "stood_still", lambda _: how == "stall")
+    with HubNetwork() as hubs, Hub.open(hubs.settings("zeros")) as hub:
+        idle, lease = Dispatcher("idle"), Lease()
+        lease.extend(math.inf)
+        context = EngineContext(
+            hub, FakeEdge(network, registry), detector, lease, cast("Any", None), idle, idle, lambda: None
+        )
+        now = time.time_ns()
+        sent = [(MOVING, now), *((data, now - (how == "old") * 10**10) for data in (MOVING, ZERO, ZERO))]
+        to_hub = SideToHubRoute(key, topic, conversion, policy, context)
+        to_hub.update([Endpoint("this", Kind.PUBLISHER, topic, TWIST, Qos(), MadeBy.NATIVE)])
+        for data, time_ns in sent:
+            to_hub.deliver(data, "this", time_ns)
+        to_hub.close()
+        to_side = HubToSideRoute(key, topic, None, conversion, policy, context)
+        to_side.update([replace(hub_publisher(topic, type_.type_id, Qos()), type_name=TWIST)], [])
+        for number, (data, time_ns) in enumerate(sent, 1):
+            to_side.queue.receive(HubSample(zenoh.ZBytes(data), number, time_ns, GID, "z"))
+        to_side.close()
+    assert received == [MOVING] * moving + [ZERO] * 2
+    for route in (to_hub, to_side):
+        assert (route.counters.messages, route.counters.drops[reason]) == (moving + 2, 2 - moving)
 
 
 def test_lost_messages_are_reported_with_where_they_were_lost() -> None:

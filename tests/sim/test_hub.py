@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock, call
 
 import numpy as np
 import pytest
@@ -16,7 +18,7 @@ from bridge.config.model import Config
 from bridge.config.sections.yarp import TopicPort, YarpSection
 from sim import messages
 from sim.depth import DepthCamera
-from sim.simulator import SimWorker
+from sim.simulator import Simulator, SimWorker
 from tests.peers.hub.rig import HubRig
 from tests.support.ports import free_port
 from tests.support.status_documents import check_document
@@ -257,3 +259,27 @@ def test_depths_in_millimeters_are_zero_if_invalid() -> None:
     image = messages.depth(5, seen, "16UC1")
     assert (image["encoding"], image["step"]) == ("16UC1", 6)
     assert image["data"].view(np.uint16).tolist() == [1234, 0, 0, 0, 0, 64900]
+
+
+def test_late_zeros_stop_the_robot() -> None:
+    simulator = MagicMock()
+    for method in ("_try", "_drive_wheels"):
+        setattr(simulator, method, partial(getattr(Simulator, method), simulator))
+    motors = simulator.simulation.wheels.motors
+    simulator.simulation.robot.motor_timeout, motors.names = 0.1, ("l", "r")
+    simulator._now.return_value = 10_000_000_000
+
+    def drive(x: float, rate: float) -> list[Any]:
+        """Command a velocity and wheels; return the calls that passed."""
+        simulator.simulation.command.reset_mock()
+        motors.drive.reset_mock()
+        Simulator._velocity(simulator, {"linear": {"x": x, "y": 0.0}, "angular": {"z": 0.0}})
+        header = {"stamp": {"sec": 1, "nanosec": 0}}
+        Simulator._wheels(simulator, {"header": header, "name": ["l", "r"], "velocity": [rate, rate]})
+        return [*simulator.simulation.command.call_args_list, *motors.drive.call_args_list]
+
+    simulator._pace.stood_still.return_value = False
+    assert drive(0.1, 1.0) == [call(messages.Twist(0.1, 0.0, 0.0))], "the wheels' command has an old stamp"
+    simulator._pace.stood_still.return_value = True
+    assert drive(0.1, 1.0) == []
+    assert drive(0.0, 0.0) == [call(messages.Twist(0.0, 0.0, 0.0)), call([0.0, 0.0])]

@@ -1,7 +1,7 @@
 """Plays bags, message by message, each when it is due.
 
-Commands are never late, latched or queued: a late command is dropped, and a step skips commands. Zero velocity is sent
-at the end, on a pause and on a stop.
+Commands are never late, latched or queued: a late command is dropped, except zero velocity, and a step skips commands.
+Zero velocity is sent at the end, on a pause and on a stop.
 """
 
 from __future__ import annotations
@@ -16,9 +16,10 @@ from bridge.bags.play.timeline import Due, Timeline
 from bridge.bags.play.topics import PlayTopic
 from bridge.hub.errors import HubClosedError, HubError
 from bridge.messages.errors import ConversionError
+from bridge.messages.velocities import is_zero
 
 COMMAND_LATE = 0.1
-"""Delay in seconds above which a command is too late to be published."""
+"""Delay in seconds above which a command is too late to be published, unless it stops the robot."""
 
 LEAST_SECONDS = 0.1
 """Minimum duration of a loop, so that a bag of one message is not played without a pause."""
@@ -140,18 +141,19 @@ class Player:
             self._drop(topic, "stepped")
             self.timeline.step()  # apply the step to the next message
             return True
-        if topic.command and self.timeline.late > COMMAND_LATE:
-            self._drop(topic, "late")
-        else:
-            self._publish(topic, message.data, ready=message.ready)
+        late = topic.command and self.timeline.late > COMMAND_LATE
+        self._publish(topic, message.data, ready=message.ready, late=late)
         if due is Due.STEP:
             self._output.clock(self.timeline.now_ns())
         self._report_lag()
         return True
 
-    def _publish(self, topic: PlayTopic, data: bytes, *, ready: bool) -> None:
+    def _publish(self, topic: PlayTopic, data: bytes, *, ready: bool, late: bool = False) -> None:
         try:
             cdr = topic.convert(data) if topic.convert is not None and not ready else data
+            if late and not is_zero(topic.type_name, cdr):
+                self._drop(topic, "late")
+                return
             if not topic.command:
                 self._output.put(topic, cdr)
             elif not self.timeline.publish(lambda: self._output.put(topic, cdr)):

@@ -56,7 +56,8 @@ class RelayedTopic(TopicAdmission):
     """Relays a topic's messages, each with its original number, time and GID.
 
     Each latched publisher has its own publishers here, so that its cached messages disappear when it leaves; all other
-    publishers share one for each hash. A command is never latched or held, and is dropped if it is too old.
+    publishers share one for each hash. A command is never latched or held, and is dropped if it is too old, unless it
+    is a velocity of zero.
 
     The receiving threads only queue the messages, because sending may wait for a congested link. ``_lock`` keeps the
     order between held and new messages.
@@ -178,19 +179,19 @@ class RelayedTopic(TopicAdmission):
         self._context.wake()
 
     def _enqueue(self, sample: HubSample, source: HubSource) -> None:
-        if self._queue is not None and not self.over_rate(latched=source.latched):
+        if self._queue is not None and not self.over_rate(sample.data, latched=source.latched):
             self._queue.put((sample, source), len(sample.payload))
 
     def _relay(self, message: tuple[HubSample, HubSource]) -> None:
         """Publish a message; called on the queue's thread."""
         sample, source = message
-        if not source.latched and self._stall_detector.hung(ALONE):
+        if not source.latched and self._stall_detector.hung(ALONE) and not self._stops(sample.data):
             self.counters.dropped("standby")
             return
         if self._context.hold.blocks_native(self.key.topic):
             self.counters.dropped("held")
             return
-        if self._priority is Priority.COMMAND and self.is_stale(source.age, sample.source_time_ns):
+        if self._priority is Priority.COMMAND and self.is_stale(sample.data, source.age, sample.source_time_ns):
             self.counters.dropped("stale")
             return
         at = source.endpoint.gid if source.latched else _SHARED

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import time
 
 import pytest
@@ -47,16 +48,33 @@ def test_commands_are_neither_cached_nor_relayed_late(relay: Relays, node: Nodes
     late = publisher._sequence
     put_until_received(publisher, received)
     assert late not in [sample.sequence for sample in received.samples]
+    put_with_age(publisher, 5.0, 0.0)
+    late = publisher._sequence
+    until(lambda: late in [sample.sequence for sample in received.samples], "a late zero arrives: it stops the base")
     joiner, before = topic.subscription(node(JAZZY)), publisher._sequence
     put_until_received(publisher, joiner)
     assert min(sample.sequence for sample in joiner.samples) > before
 
 
-def put_with_age(publisher: ReleasePublisher, age: float) -> None:
+def test_a_rate_drops_velocities_but_not_zero(relay: Relays, node: Nodes) -> None:
+    worker = relay({"topic": "/cmd_vel", "rate": 0.001})
+    publisher, received = VELOCITY.publisher(node(HUMBLE)), VELOCITY.subscription(node(JAZZY))
+    until(lambda: (put_with_age(publisher, 0.0), drops(worker, "rate"))[1], "a velocity is dropped", every=0.05)
+
+    def arrived() -> bool:
+        put_with_age(publisher, 0.0, 0.0)
+        return any(sample.sequence > moving for sample in received.samples)
+
+    moving = publisher._sequence
+    until(arrived, "zero arrives", every=0.05)
+
+
+def put_with_age(publisher: ReleasePublisher, age: float, x: float = 0.25) -> None:
     """Publish a velocity whose source timestamp is a few seconds old."""
     publisher._sequence += 1
     data = publisher._sequence.to_bytes(8, "little") + (time.time_ns() - int(age * 1e9)).to_bytes(8, "little")
-    publisher._declared(publisher.key).put(b"\0\1\0\0" + bytes(48), attachment=data + b"\x10" + publisher.gid)
+    velocity = b"\0\1\0\0" + struct.pack("<6d", x, 0.0, 0.0, 0.0, 0.0, 0.0)
+    publisher._declared(publisher.key).put(velocity, attachment=data + b"\x10" + publisher.gid)
 
 
 def test_velocities_pass_only_while_no_gateway_holds_them(relay: Relays, node: Nodes, network: HubNetwork) -> None:
