@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from bridge.boards import module
+from bridge.routing.stall import AgeGate
 from tests.peers.hub.modules import Place
 from tests.peers.yarp.joints import Joints
 from tests.support.wait import until
@@ -147,7 +148,7 @@ def test_a_late_zero_stops_the_joints(robot: Robot, monkeypatch: pytest.MonkeyPa
         robot.command(name=["joint0"], velocity=[velocity])
 
     until(lambda: (command(1.0), robot.speeds[0] != 0.0)[1], "the joint moves", every=0.05)
-    monkeypatch.setattr(module.AgeGate, "age", lambda *_: 5.0)
+    monkeypatch.setattr(AgeGate, "age", lambda *_: 5.0)
     until(lambda: robot.speeds[0] == 0.0, "the joint's last velocity expires", every=0.01)
     robot.speeds[0] = 5.0
     command(0.0)

@@ -17,6 +17,7 @@ from bridge import clock
 from bridge.config.model import Config
 from bridge.config.sections.yarp import TopicPort, YarpSection
 from sim import messages
+from sim.base import Twist
 from sim.depth import DepthCamera
 from sim.simulator import Simulator, SimWorker
 from tests.peers.hub.rig import HubRig
@@ -279,7 +280,7 @@ def test_late_zeros_stop_the_robot() -> None:
         return [*simulator.simulation.command.call_args_list, *motors.drive.call_args_list]
 
     simulator._pace.stood_still.return_value = False
-    assert drive(0.1, 1.0) == [call(messages.Twist(0.1, 0.0, 0.0))], "the wheels' command has an old stamp"
+    assert drive(0.1, 1.0) == [call(Twist(0.1, 0.0, 0.0))], "the wheels' command has an old stamp"
     simulator._pace.stood_still.return_value = True
     assert drive(0.1, 1.0) == []
-    assert drive(0.0, 0.0) == [call(messages.Twist(0.0, 0.0, 0.0)), call([0.0, 0.0])]
+    assert drive(0.0, 0.0) == [call(Twist(0.0, 0.0, 0.0)), call([0.0, 0.0])]
