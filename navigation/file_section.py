@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 from typing_extensions import override
 
@@ -40,6 +41,16 @@ class FileSection(ModuleSection):
         from navigation.ini import files_of  # as in `mistakes`
 
         return files_of(self.ini)
+
+    def with_file(self) -> Self:
+        """Return the section with its file's values as defaults; unchanged if the file is invalid."""
+        if self.ini is None:
+            return self
+        from navigation.ini import laid_under  # imports YARP's data
+
+        with suppress(RuntimeError):  # the module does not start, and reports it
+            return laid_under(self, self.ini, resolve_name(self.reader), merged=self.merged)[0]
+        return self
 
     def misfits(self) -> Iterable[Mistake]:
         """Return the keys that do not fit the others."""

@@ -12,7 +12,7 @@ from bridge.messages.scan import LaserScan
 from sim.base import BasePose, Encoders, Twist
 from sim.depth import Depths
 from sim.robot import RobotDescription
-from sim.section import CameraSection
+from sim.section import WHEEL_COMMAND, CameraSection
 from sim.sensors import Charge
 
 Message = dict[str, Any]
@@ -233,7 +233,7 @@ class TopicNames:
     bumper: str = "/bumper"
     view: str = "/sim/view"
     velocity: str = "/cmd_vel"
-    wheels: str = "/wheel_command"
+    wheels: str = WHEEL_COMMAND
     odom_frame: str = "odom"
     map_frame: str = "map"
     base_frame: str = "base_link"

@@ -12,6 +12,8 @@ from typing_extensions import override
 
 from bridge.config.sections.section import Mistake, Section, matching, setting, subsection
 
+WHEEL_COMMAND, JOINTS = "/wheel_command", "sensor_msgs/msg/JointState"
+
 _Prefix = Annotated[str, matching(r"(?:/[A-Za-z0-9_]+)*", "is not a prefix of port names; write for instance /cer")]
 
 
@@ -139,6 +141,11 @@ class SimSection(Section):
         if isinstance(value, float) and not 0.01 <= value <= 1000:
             raise ValueError("a speed is 0.01 to 1000, `max` or `step`")
         return value
+
+    @property
+    @override
+    def driven(self) -> tuple[tuple[str, str], ...]:
+        return ((WHEEL_COMMAND, JOINTS),) if self.drive == "wheels" else ()
 
     @override
     def mistakes(self, config: Any) -> Iterable[Mistake]:

@@ -27,7 +27,7 @@ from sim.environment import SimError
 from sim.messages import names_of
 from sim.pace import Pace
 from sim.publishers import SimPublishers
-from sim.section import SimSection
+from sim.section import JOINTS, SimSection
 from sim.services import ChangeServices, Stepping, answered
 from sim.simulation import Simulation
 from sim.stamps import WallStamps
@@ -61,7 +61,7 @@ class Simulator(Module):
             node.subscription(names.velocity, "geometry_msgs/msg/Twist", self._velocity, _NEWEST)
             node.subscription(names.velocity, "geometry_msgs/msg/TwistStamped", self._stamped_velocity, _NEWEST)
         else:
-            node.subscription(names.wheels, "sensor_msgs/msg/JointState", self._wheels, _NEWEST)
+            node.subscription(names.wheels, JOINTS, self._wheels, _NEWEST)
         node.subscription(DONE_TOPIC, DONE_TYPE, self._stepping.acknowledge, _ALL)
         for name, (kind, do) in ChangeServices(self.simulation).services().items():
             node.server(name, kind, answered(do))

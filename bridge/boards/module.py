@@ -10,7 +10,7 @@ import numpy as np
 from typing_extensions import override
 
 from bridge.boards.link import BoardLink, Joints
-from bridge.boards.section import ControlBoardSection, ControlBoardsSection
+from bridge.boards.section import JOINTS, ControlBoardSection, ControlBoardsSection
 from bridge.config.sections.section import Section
 from bridge.hub.wire.qos import Qos, Reliability
 from bridge.module_keys import BoardKeys, BoardStatus
@@ -19,8 +19,6 @@ from bridge.modules.module import Module
 from bridge.routing.stall import AgeGate, StallDetector
 from bridge.worker import Health
 from yarp_compat.dev.controlboard.streams import JointData
-
-JOINTS = "sensor_msgs/msg/JointState"
 
 _NEWEST = Qos(Reliability.BEST_EFFORT, depth=1)
 _MAX_COMMANDERS = 32  # commanders whose clocks are followed
@@ -116,11 +114,11 @@ class ControlBoards(Module):
             self.refused[board.command] = problem
 
         subscription = self._host.node.subscription(board.command, JOINTS, on_command, _NEWEST)
+
+
 def _stops(message: dict[str, Any]) -> bool:
     """Return whether a command only stops joints, however late it is."""
     return len(message["velocity"]) > 0 and not np.any(message["velocity"])
-
-
 
 
 def joint_state(joints: Joints, data: JointData, stamp: dict[str, int]) -> dict[str, Any]:

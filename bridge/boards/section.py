@@ -7,6 +7,8 @@ from typing_extensions import override
 
 from bridge.config.sections.section import ModuleSection, OptionalTopic, PortName, Section, TopicName, setting
 
+JOINTS = "sensor_msgs/msg/JointState"
+
 
 class ControlBoardSection(Section):
     """A YARP control board, whose joints appear on the hub."""
@@ -27,5 +29,5 @@ class ControlBoardsSection(ModuleSection):
 
     @property
     @override
-    def driven(self) -> tuple[str, ...]:
-        return tuple(board.command for board in self.boards)
+    def driven(self) -> tuple[tuple[str, str], ...]:
+        return tuple((board.command, JOINTS) for board in self.boards if board.command)

@@ -171,10 +171,14 @@ class Config(Section):
 
     @property
     def rules(self) -> RoutingSection:
-        """The rules of ``routing``, combined with the rules that follow from ``navigation`` (`with_navigation`)."""
-        from bridge.config.rules import with_navigation
+        """The rules of ``routing``, combined with those that follow from other sections (`bridge.config.rules`)."""
+        from bridge.config.rules import with_commands, with_navigation
 
-        return with_navigation(self.routing, self.navigation)
+        sections: dict[str, Section] = {"navigation": self.navigation}
+        sections |= {f"modules.{name}": section for name, section in self.modules.sections.items()}
+        workers = {worker.name: getattr(self, worker.name) for worker in all_workers() if worker.section}
+        sections |= {name: section for name, section in workers.items() if getattr(section, "enabled", False)}
+        return with_commands(with_navigation(self.routing, self.navigation), sections)
 
     @property
     def _own_planners(self) -> dict[str, OwnModule]:

@@ -1,4 +1,4 @@
-"""Routing rules derived from the section ``navigation``, and the message types that rules mark as commands."""
+"""Routing rules derived from other sections, and the message types that rules mark as commands."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ from bridge.config.sections.navigation import (
     through_poses,
 )
 from bridge.config.sections.routing import RoutingSection, Rule
+from bridge.config.sections.section import Section
+from bridge.messages.velocities import COMMAND_NAME, VELOCITIES
 
-VELOCITIES, POSE = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"), "geometry_msgs/msg/PoseStamped"
-PATH, GRID = "nav_msgs/msg/Path", "nav_msgs/msg/OccupancyGrid"
+POSE, PATH, GRID = "geometry_msgs/msg/PoseStamped", "nav_msgs/msg/Path", "nav_msgs/msg/OccupancyGrid"
 
 GET_STATE = "lifecycle_msgs/srv/GetState"
 
@@ -27,6 +28,24 @@ class MadeRule(Rule):
     """A rule derived from a section; ``of`` names that section as users see it."""
 
     of: str
+
+
+class CommandRule(MadeRule):
+    """Marks a topic's messages as commands, unless another rule sets their class; it does not let anything pass."""
+
+
+def with_commands(routing: RoutingSection, sections: Mapping[str, Section]) -> RoutingSection:
+    """Return the rules with a `CommandRule` for each topic that moves the robot of these sections (by their keys).
+
+    Topics whose names and types already imply commands need none.
+    """
+    rules = [
+        CommandRule(of=of, kind="topic", topic=topic, type=type_name, priority="command")
+        for of, section in sections.items()
+        for topic, type_name in section.driven
+        if not (type_name in VELOCITIES and COMMAND_NAME.search(topic))
+    ]
+    return routing.model_copy(update={"rules": (*routing.rules, *rules)}) if rules else routing
 
 
 def with_navigation(routing: RoutingSection, navigation: NavigationSection) -> RoutingSection:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Literal, NamedTuple
 
-from bridge.config.rules import MadeRule
+from bridge.config.rules import CommandRule, MadeRule
 from bridge.config.sections.routing import QosOverride, RoutingSection, Rule
 from bridge.hub.wire.qos import Durability, Qos, Reliability
 from bridge.routing.limits import Priority, default_priority
@@ -170,6 +170,7 @@ class RuleSet:
         self.section = section
         self._patterns = [_pattern(rule) for rule in section.rules]
         self._names = list(_names(section.rules))
+        self._commands = {(rule.topic, rule.type) for rule in section.rules if isinstance(rule, CommandRule)}
         self._owners = {rule.node: rule.owner for rule in section.parameters}
         self._decided: dict[tuple[str, ...], RoutePolicy] = {}
 
@@ -194,13 +195,19 @@ class RuleSet:
     def _enter(self, side: str, topic: str, type_name: str, kind: Kind) -> RoutePolicy:
         matches = list(self._matches(side, topic, type_name, kind))
         entry = [m for m in matches if m.rule.to in (None, ENTRY)]
-        return (
+        policy = (
             _denial(entry, topic)
             or _permission(entry, topic)
             or self._onward(matches, topic)
             or self._private(side, topic, type_name, kind)
             or self._default(topic)
         )
+        return self._classified(policy, topic, type_name)
+
+    def _classified(self, policy: RoutePolicy, topic: str, type_name: str) -> RoutePolicy:
+        """Return the policy with the class command if the topic moves the robot, and no rule sets its class."""
+        driven = (topic, type_name) in self._commands or (policy.name, type_name) in self._commands
+        return replace(policy, priority="command") if driven and policy.allowed and not policy.priority else policy
 
     def leave(
         self, origin: str, side: str, topic: str, type_name: str, kind: Kind = "topic", *, elsewhere: bool = False
@@ -213,7 +220,12 @@ class RuleSet:
         whose rules may differ, let the topic in.
         """
         question = (origin, side, topic, type_name, kind, "elsewhere" if elsewhere else "")
-        return self._once(question, lambda: self._leave(origin, side, topic, type_name, kind, elsewhere=elsewhere))
+
+        def decide() -> RoutePolicy:
+            policy = self._leave(origin, side, topic, type_name, kind, elsewhere=elsewhere)
+            return self._classified(policy, topic, type_name)
+
+        return self._once(question, decide)
 
     def relay(self, topic: str, type_name: str, kind: Kind = "topic") -> RoutePolicy:
         """Decide whether a topic, service or action is relayed between the hub's own nodes.
@@ -222,7 +234,7 @@ class RuleSet:
         """
         matches = [m for m in self._matches(ENTRY, topic, type_name, kind) if m.rule.to in (None, ENTRY)]
         policy = _denial(matches, topic) or _permission(matches, topic) or self._default(topic)
-        return replace(policy, name=topic, stamped=None)
+        return self._classified(replace(policy, name=topic, stamped=None), topic, type_name)
 
     def native(self, topic: str, type_name: str) -> list[RoutePolicy]:
         """Return the decisions on a topic of the hub's own programs: first on the hub, then for each side."""
@@ -263,7 +275,7 @@ class RuleSet:
 
     def _matches(self, origin: str, topic: str, type_name: str, kind: Kind) -> Iterator[_Match]:
         for name, rule, pattern in zip(self._names, self.section.rules, self._patterns, strict=True):
-            if rule.from_ not in (None, origin) or rule.kind not in (None, kind):
+            if isinstance(rule, CommandRule) or rule.from_ not in (None, origin) or rule.kind not in (None, kind):
                 continue
             if rule.type is not None and not glob_regex(rule.type).fullmatch(type_name):
                 continue

@@ -24,7 +24,7 @@ from navigation.base_control.commands import (
     of_degrees,
 )
 from navigation.base_control.kinematics import Traveled
-from navigation.base_control.section import BaseControlSection, BaseInput, JoySection
+from navigation.base_control.section import JOY, BaseControlSection, BaseInput, JoySection
 from yarp_compat.dev.basecontrol import (
     INavigation2DVelocityActionsMsgs,
     IOdometry2DMsgs,
@@ -75,7 +75,6 @@ class OdometryRpc(IOdometry2DMsgs):
         return _OK
 
 
-JOY = "sensor_msgs/msg/Joy"
 NEWEST = Qos(depth=1)
 _MAX_SENDERS = 64
 

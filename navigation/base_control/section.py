@@ -19,7 +19,10 @@ from bridge.config.sections.section import (
     setting,
     subsection,
 )
+from bridge.messages.velocities import VELOCITIES
 from navigation.file_section import FileSection
+
+JOINTS, JOY = "sensor_msgs/msg/JointState", "sensor_msgs/msg/Joy"
 
 DEGREES = "degrees per second"
 
@@ -136,8 +139,11 @@ class BaseControlSection(FileSection):
 
     @property
     @override
-    def driven(self) -> tuple[str, ...]:
-        return (self.wheel_command,)
+    def driven(self) -> tuple[tuple[str, str], ...]:
+        inputs = self.with_file().inputs or INPUTS
+        twists = ((topic, kind) for source in inputs for topic in source.twist for kind in VELOCITIES)
+        joys = ((topic, JOY) for source in inputs for topic in source.joy)
+        return (self.wheel_command, JOINTS), *twists, *joys
 
     @field_validator("inputs")
     @classmethod

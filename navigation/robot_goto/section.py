@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import ClassVar, Literal
 
+from typing_extensions import override
+
 from bridge.config.sections.obstacles import ObstacleSection
 from bridge.config.sections.section import (
     FLOOR,
@@ -17,6 +19,7 @@ from bridge.config.sections.section import (
     setting,
     subsection,
 )
+from bridge.messages.velocities import VELOCITIES
 from navigation.file_section import FileSection
 
 _DEGREES = "degrees per second"
@@ -119,3 +122,8 @@ class RobotGotoSection(FileSection):
     memory: float = setting(20.0, "Seconds for which the laser's observation of a cell is valid.", ge=1.0, le=600.0)
     deadlock_time: float = setting(20.0, "Seconds without progress that count as a deadlock.", ge=1.0, le=3600.0)
     on_deadlock: Literal["abort", "pause"] = setting("abort", "In a deadlock: abort the goal, or wait until resumed.")
+
+    @property
+    @override
+    def driven(self) -> tuple[tuple[str, str], ...]:
+        return tuple((self.cmd_vel, kind) for kind in VELOCITIES)

@@ -12,7 +12,7 @@ from bridge.config.load import load
 JOINTS, TWIST = "sensor_msgs/msg/JointState", "geometry_msgs/msg/Twist"
 _CONFIG = """
 modules:
-  base_control: {wheel_command: /wheels}
+  base_control: {wheel_command: /wheels, inputs: [{name: pad, joy: [/pad]}]}
   control_boards: {boards: [{remote: /cer/arm, command: /arm/go}]}
 routing:
   rules:
@@ -39,6 +39,7 @@ def moving(tmp_path: Path) -> CommandTopics:
         ("/move_base/cancel", "actionlib_msgs/msg/GoalID"),
         ("/goal_pose", "geometry_msgs/msg/PoseStamped"),
         ("/wheels", JOINTS),
+        ("/pad", "sensor_msgs/msg/Joy"),
         ("/arm/go", JOINTS),
         ("/wheel_command", JOINTS),
         ("/arm/command", "std_msgs/msg/Float64"),

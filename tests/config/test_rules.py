@@ -12,6 +12,7 @@ from bridge.config.model import Config
 from bridge.config.rules import commands
 from bridge.config.sections.navigation import OURS
 from bridge.hub.security.access import QUESTIONS, harmless_keys
+from bridge.routing.limits import Priority
 from bridge.routing.rules import RoutePolicy, RuleSet
 from navigation.map2d_server.section import Map2DServerSection
 
@@ -251,3 +252,57 @@ def test_an_empty_velocity_topic_yields_no_rule() -> None:
     topics = [rule.topic for rule in config.rules.rules]
     assert "/tug" in topics
     assert not any("cmd" in str(topic) for topic in topics)
+
+
+JOINTS, JOY = "sensor_msgs/msg/JointState", "sensor_msgs/msg/Joy"
+INPUT = {"name": "stick", "twist": ["/stick/twist"], "joy": ["/pad"]}
+ROBOT: dict[str, Any] = {
+    "navigation": {
+        "velocity": "/base/velocity",
+        "planners": [{"name": "mine", "side": "ros1", "action": "/mine", "velocity": "/mine/velocity"}],
+    },
+    "sim": {"enabled": True, "drive": "wheels"},
+    "modules": {
+        "base_control": {"enabled": True, "wheel_command": "/wheels", "inputs": [INPUT]},
+        "control_boards": {"enabled": True, "boards": [{"remote": "/cer/arm", "command": "/arm/go"}]},
+        "robot_goto": {"enabled": True, "cmd_vel": "/goto/twist"},
+    },
+}
+DRIVEN = [
+    ("/base/velocity", TWIST), ("/base/velocity", TWIST_STAMPED), ("/mine/velocity", TWIST), ("/wheels", JOINTS),
+    ("/wheel_command", JOINTS), ("/stick/twist", TWIST), ("/stick/twist", TWIST_STAMPED), ("/pad", JOY),
+    ("/arm/go", JOINTS), ("/goto/twist", TWIST), ("/goto/twist", TWIST_STAMPED),
+]  # fmt: skip
+
+
+def classes(sections: dict[str, Any], topic: str, type_name: str) -> set[Priority]:
+    """Return the classes of a topic's messages at all gates, if its publisher is latched."""
+    rule_set = RuleSet(Config.model_validate(sections).rules)
+    policies = [
+        rule_set.enter("ros1", topic, type_name), rule_set.leave("zenoh", "ros2", topic, type_name),
+        rule_set.leave("ros1", "ros2", topic, type_name), rule_set.relay(topic, type_name),
+    ]  # fmt: skip
+    return {policy.class_of((topic, policy.name), type_name, latched=True) for policy in policies if policy.allowed}
+
+
+@pytest.mark.parametrize(("topic", "type_name"), DRIVEN)
+def test_topics_that_move_the_configured_robot_are_commands(topic: str, type_name: str) -> None:
+    assert classes(ROBOT, topic, type_name) == {Priority.COMMAND}
+    assert classes(ROBOT, topic, "std_msgs/msg/String") == {Priority.STATE}
+    assert classes({}, topic, type_name) == {Priority.STATE}
+    protected = commands(Config.model_validate(ROBOT).rules)[type_name]
+    assert {"*", topic.rpartition("/")[2]} & protected, "machines that are not trusted cannot publish it"
+
+
+def test_rules_of_the_file_apply_to_topics_that_move_the_robot() -> None:
+    renamed = {
+        "routing": {"rules": [{"topic": "/wheels", "rate": 5, "from": "ros1"}, {"topic": "/w", "rename": "/wheels"}]}
+    }
+    rule_set = RuleSet(Config.model_validate(ROBOT | renamed).rules)
+    policy = rule_set.enter("ros1", "/wheels", JOINTS)
+    assert (policy.rate, policy.priority) == (5.0, "command")
+    assert rule_set.enter("ros1", "/w", JOINTS).priority == "command"
+    stream = {"routing": {"rules": [{"topic": "/wheels", "priority": "stream"}]}}
+    assert classes(ROBOT | stream, "/wheels", JOINTS) == {Priority.STREAM}
+    denied = Config.model_validate(ROBOT | {"routing": {"default": "deny"}})
+    assert not RuleSet(denied.rules).enter("ros1", "/wheels", JOINTS).allowed

@@ -18,8 +18,8 @@ from bridge.hub.graph.tokens import TAPS, UNKNOWN_HASH
 from bridge.hub.wire.qos import LATCHED, Qos
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.registry import Registry
-from bridge.messages.velocities import VELOCITIES
-from bridge.routing.limits import COMMAND_NAME, Priority, default_priority
+from bridge.messages.velocities import COMMAND_NAME, VELOCITIES
+from bridge.routing.limits import Priority, default_priority
 from bridge.routing.rewrites import TF_TYPE
 from bridge.routing.rules import RuleSet
 
@@ -82,14 +82,12 @@ class CommandTopics:
     """
 
     def __init__(self, config: Config) -> None:
-        section = config.navigation
         self._parts: dict[str, set[str]] = {}
         for type_name, parts in commands(config.rules).items():
             self._parts.setdefault(_short(type_name), set()).update(parts)
         self._rules = RuleSet(config.rules)
-        velocities = {section.velocity, *(planner.velocity for planner in section.others.values())}
-        driven = (topic for module in config.modules.shipped.values() for topic in module.driven)
-        self._driven = {*velocities, *driven} - {""}
+        sections = config.navigation, *config.modules.shipped.values()
+        self._driven = {topic for section in sections for topic, _ in section.driven}
 
     def has(self, name: str, type_name: str) -> bool:
         """Return whether messages of this type (ROS 2's name) on this topic of the hub move a robot."""

@@ -26,6 +26,7 @@ from bridge.client.refusals import refusals
 from bridge.client.session import ASK_SECONDS, Client
 from bridge.client.status import daemon_names, documents_in, silent_workers
 from bridge.config.model import Config
+from bridge.config.rules import CommandRule
 from bridge.config.sections.routing import Rule
 from bridge.display.documents import connection_line, drops_text, port_lines, transport_text
 from bridge.doctor import hub_problems
@@ -372,6 +373,8 @@ def _subject(rule: Rule) -> str:
 
 
 def _effect(rule: Rule) -> str:
+    if isinstance(rule, CommandRule):
+        return "carries commands, which move the robot"
     destination = "" if rule.to is None else " into the hub" if rule.to == "zenoh" else f" to {side_name(rule.to)}"
     if rule.deny:
         return f"is not bridged{destination}"

@@ -6,6 +6,7 @@ import re
 from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
+from typing_extensions import override
 
 from bridge.config.sections.section import (
     FACTORY,
@@ -23,6 +24,7 @@ from bridge.config.sections.section import (
     setting,
     subsection,
 )
+from bridge.messages.velocities import VELOCITIES
 
 OURS = ("robot_path_planner", "robot_goto")  # planners that are modules of Midspan
 ACTION = "/navigate_to_pose"  # the gateway's action on the hub
@@ -200,6 +202,12 @@ class NavigationSection(Section):
         5.0, "Seconds without status and feedback after which a planner counts as silent; 0: never.", ge=0.0, le=3600.0
     )
     doors: DoorsSection = subsection(DoorsSection, "The names that clients use.")
+
+    @property
+    @override
+    def driven(self) -> tuple[tuple[str, str], ...]:
+        topics = {self.velocity, *(planner.velocity for planner in self.others.values())} - {""}
+        return tuple((topic, kind) for topic in sorted(topics) for kind in VELOCITIES)
 
     @model_validator(mode="before")
     @classmethod

@@ -54,6 +54,11 @@ class Section(BaseModel):
                 data = {**data, key: value[0]}
         return data
 
+    @property
+    def driven(self) -> tuple[tuple[str, str], ...]:
+        """Topics of the hub whose messages move the robot, with their types (ROS 2 names)."""
+        return ()
+
     def mistakes(self, config: Any) -> Iterable[Mistake]:  # noqa: ARG002 - most sections are checked alone
         """Return the keys that do not fit the contents of files, the section's other keys, or the rest of ``config``.
 
@@ -132,11 +137,6 @@ class ModuleSection(Section):
     """A module of Midspan; its key in `modules` is its name."""
 
     enabled: bool = setting(False, "Whether the module runs.")
-
-    @property
-    def driven(self) -> tuple[str, ...]:
-        """Topics whose messages move the robot, in addition to those that rules and types identify."""
-        return ()
 
 
 def matching(pattern: str | re.Pattern[str], mistake: str) -> AfterValidator:

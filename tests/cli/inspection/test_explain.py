@@ -155,7 +155,8 @@ def test_an_unused_name_is_explained_by_the_rules(
         {"kind": "topic", "topic": "/old", "from": "ros1", "rename": "/new"},
         {"regex": "/lidar/[0-9]", "type": "sensor_msgs/msg/*"},
     ]
-    sections = {"navigation": {"planner": "move_base"}, "routing": {"rules": rules}}
+    modules = {"base_control": {"enabled": True, "wheel_command": "/wheels"}}
+    sections = {"navigation": {"planner": "move_base"}, "routing": {"rules": rules}, "modules": modules}
     midspan = Midspan(config_file(tmp_path, network, **sections), capsys)
     closing.append(FakeWorker(network, "ros1", status=status("ros1"), explain=[]))
     for name, reason in {
@@ -165,6 +166,8 @@ def test_an_unused_name_is_explained_by_the_rules(
         "/camera/left": "rule 2: a topic, service or action with this name is not bridged to YARP.",
         "/old": "rule 3: a topic of ROS 1 with this name is bridged as /new.",
         "/new": "rule 3: a topic of ROS 1 /old gets this name.",
+        "/wheels": "the section modules.base_control: a topic (sensor_msgs/msg/JointState) with this name carries"
+        " commands, which move the robot.",
         "/lidar/3": "rule 4: a topic, service or action (sensor_msgs/msg/*) with this name is bridged.",
     }.items():
         done = midspan("explain", name)

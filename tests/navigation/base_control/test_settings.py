@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from bridge.messages.velocities import TWIST
 from navigation.base_control.base import DrivenBase
 from navigation.base_control.limits import BaseLimits
 from navigation.base_control.section import INPUTS, BaseControlSection
@@ -113,6 +114,7 @@ def test_a_file_from_before_2022_is_read(tmp_path: Path) -> None:
     assert (section.odom_frame, section.base_frame, section.odom) == ("odometry", "mobile_base_body_link", "/odometry")
     assert [source.name for source in section.inputs] == [source.name for source in INPUTS]
     assert section.inputs[-1].twist == ("/robot/cmd_vel",)
+    assert ("/robot/cmd_vel", TWIST) in BaseControlSection(ini=tmp_path / "baseCtrl.ini").driven
     assert not notes
 
 
