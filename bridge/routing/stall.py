@@ -112,7 +112,8 @@ CONFIRM = 2.0
 """Seconds for which the delay must stay the same before a clock counts as set back during a pause of its messages."""
 
 _STEADY_NS = 10_000_000
-"""A delay stays the same if it decreases by less than this, in ns; that of a backlog decreases as it is read."""
+"""A delay stays the same if it decreases by less than this, in ns, as that of a backlog does while it is read, and
+never exceeds the first one by more than `STEP_NS`, as that of a queue does while it fills."""
 
 
 class AgeGate:
@@ -183,7 +184,9 @@ class AgeGate:
         if grown <= STEP_NS or (step is None and now - self._seen < grown / 1e9):
             return False
         if step is None or step - difference > _STEADY_NS:
-            self._step, self._confirmed_at = difference, now + CONFIRM
-            return False
+            step = difference
+            self._confirmed_at = now + CONFIRM
+        elif difference - step > STEP_NS:  # a queue that fills
+            self._confirmed_at = now + CONFIRM
         self._step = step
         return now >= self._confirmed_at

@@ -200,7 +200,7 @@ def test_a_message_that_cannot_be_written_uses_no_block(crossing: Make, monkeypa
         raise ValueError(msg)
 
     with monkeypatch.context() as patch:
-        patch.setattr(direct, "buffers", SimpleNamespace(measured=direct.buffers.measured, write_to=refuse))
+        patch.setattr(direct, "buffers", SimpleNamespace(measured=copies.buffers.measured, write_to=refuse))
         routes.to_hub.deliver(line("x" * (2 * BULK)), "a", None)
     assert routes.to_hub.counters.drops["bad"] == 1
     assert len(blocks._free) == 1, "the block is free"

@@ -149,6 +149,33 @@ def test_a_delay_that_grows_is_never_taken_for_a_set_clock(monkeypatch: pytest.M
     assert age > 1.9
 
 
+@pytest.mark.parametrize("seconds", [0.3, 0.9])
+def test_a_delay_that_grows_after_a_pause_stays_old(monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
+    """A queue in the network fills after the pause, and stays full."""
+    clock, gate = ProcessClock(monkeypatch), stall.AgeGate()
+    ages(clock, gate, 0.0)
+    clock.now += 3.0
+    for n in range(200):
+        clock.now += 0.05
+        delay = 1.0 + min(n * 0.05, 1.0) * seconds
+        assert gate.age(int((clock.now - delay) * 1e9)) > 0.8
+    assert ages(clock, gate, 0.0)[-1] < 0.01
+
+
+def test_a_late_command_postpones_the_detection_of_a_set_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, gate = ProcessClock(monkeypatch), stall.AgeGate()
+    ages(clock, gate, 0.0)
+    clock.now += 10.0
+    sent, seen = clock.now - 3.0, list[tuple[float, float]]()
+    for n in range(100):
+        sent += 0.05
+        clock.now = max(clock.now, sent + (3.4 if n == 20 else 3.0))
+        seen.append((gate.age(int(sent * 1e9)), clock.now))
+    late = seen[20][1]
+    fresh = next(arrival for age, arrival in seen if age < 0.01)
+    assert late + stall.CONFIRM - 0.01 < fresh < late + stall.CONFIRM + 0.6
+
+
 def test_backlog_from_before_a_clock_was_set_back_stays_old(monkeypatch: pytest.MonkeyPatch) -> None:
     clock, gate = ProcessClock(monkeypatch), stall.AgeGate()
     ages(clock, gate, 0.0)
