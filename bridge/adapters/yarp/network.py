@@ -193,6 +193,15 @@ def _is_here(address: Address) -> bool:
     return all(ipaddress.ip_address(str(ip).partition("%")[0]).is_loopback or _is_own(str(ip)) for ip in addresses)
 
 
+def is_lost(host: str) -> bool:
+    """Return whether this machine lacks an IP address under which it has registered ports; False for a host name."""
+    try:
+        ipaddress.ip_address(host)
+    except ValueError:
+        return False
+    return not _is_own(host)
+
+
 def _is_own(ip: str) -> bool:
     family = socket.AF_INET6 if ":" in ip else socket.AF_INET
     with socket.socket(family, socket.SOCK_DGRAM) as probe:

@@ -60,6 +60,11 @@ class WorkerPresence:
         )  # fmt: skip
 
     @property
+    def name(self) -> str:
+        """The name of this worker's port."""
+        return self._core.name
+
+    @property
     def is_open(self) -> bool:
         """Whether this worker is on the network."""
         return self._core.is_open

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from bridge.adapters.worker import NetworkBridge, make_edges
-from bridge.adapters.yarp.network import DAEMON, OWNER, PRESENCE, YarpNetwork
+from bridge.adapters.yarp.network import DAEMON, OWNER, PRESENCE, YarpNetwork, is_lost
 from bridge.config.model import Config
 from bridge.hub.node import Hub
 from bridge.messages.registry import Registry
@@ -152,6 +152,26 @@ def test_yarp_program_gets_definitions_from_the_daemon(place: Place) -> None:
     assert answer.startswith("[ok]")
     assert "MSG: geometry_msgs/Vector3" in answer
     assert text_client.ask(contact, ["definition", "no_msgs/Thing"])[0].startswith("[fail]")
+
+
+def test_a_lost_address_is_reported_until_it_returns(
+    place: Place, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The ports stay registered under it, for instance after this machine has joined another Wi-Fi network."""
+    caplog.set_level("INFO")
+    place.bridge()
+    lost = "this machine does not have the address 127.0.0.1 now"
+
+    def warnings() -> list[str]:
+        return [warning for warning in place.far.status()["warnings"] if lost in warning]
+
+    assert warnings() == []
+    with monkeypatch.context() as changed:
+        changed.setattr("bridge.adapters.yarp.network._is_own", lambda _ip: False)
+        until(warnings, "the address is reported")
+    until(lambda: not warnings(), "the warning ends")
+    assert [lost in text or "the address of its ports again" in text for text in caplog.messages].count(True) == 2
+    assert (is_lost("192.0.2.1"), is_lost("127.0.0.1"), is_lost("robot1")) == (True, False, False)
 
 
 def test_port_name_of_another_program_is_a_warning(place: Place) -> None:
