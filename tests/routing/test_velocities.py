@@ -259,7 +259,7 @@ def test_a_rule_latches_no_velocity_on_a_side(side: Side, caplog: pytest.LogCapt
     program = side.program(TWIST)
     until(lambda: arrived(side, program, TWIST, TWIST), "the velocity arrives on the side")
     program.put(MESSAGES[TWIST][:-8] + bytes(8))
-    until(lambda: side.received[-1].endswith(bytes(8)), "the last velocity arrives, so that none is on its way")
+    until(lambda: side.received[-1].endswith(bytes(8)), "the last velocity arrives, so that none arrives later")
     assert [qos.latched for qos in midspans(side, Kind.PUBLISHER)] == [False]
     assert side.network.retained() == []
     late = list[bytes]()
