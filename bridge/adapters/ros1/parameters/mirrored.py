@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from difflib import get_close_matches
+from functools import partial
 from typing import Any
 
-from bridge.adapters.ros1.parameters.store import ParameterContext, codecs
+from bridge.adapters.ros1.parameters.node_calls import NodeCalls, NodeNamesakes
+from bridge.adapters.ros1.parameters.store import ParameterContext
 from bridge.adapters.ros1.parameters.values import (
     MAX_DEPTH,
     NOT_SET,
@@ -22,24 +23,12 @@ from bridge.adapters.ros1.parameters.values import (
     why_not_ros1,
 )
 from bridge.config.sections.routing import ParameterRule
-from bridge.hub.endpoints.calls import Abandon, CallError, nothing
-from bridge.messages.errors import ConversionError
 
 _log = logging.getLogger(__name__)
 
 _Values = dict[str, ParameterValue]
-_USED = ("list_parameters", "get_parameters", "get_parameter_types", "describe_parameters", "set_parameters")
 _LOGGED = 5
 """Maximum number of unknown names in one log line."""
-
-ANSWER_SECONDS = 5.0
-"""Seconds after which a call without a reply is reported."""
-
-REPEAT_SECONDS = 30.0
-"""Seconds after which a comparison whose call has no reply begins again, because the reply may be lost."""
-
-NAMESAKE_SECONDS = 30.0
-"""Seconds after which nodes of one name are reported: a killed node may be listed beside its successor for a while."""
 
 _READ_ONLY = "routing.parameters has write: false"
 
@@ -61,17 +50,9 @@ class MirroredNode:
     def __init__(self, rule: ParameterRule, context: ParameterContext, wake: Callable[[], None]) -> None:
         self.rule = rule
         self._names = ParameterNames(rule)
-        self._hub, self._store, self._submit, self._wake = context.hub, context.store, context.submit, wake
-        self._codecs = {service: codec for service, codec in codecs(context.registry).items() if service in _USED}
-        self._clients: dict[str, Any] = {}
-        self._busy = False
-        self._call_number = 0  # of the last call; replies to earlier ones are ignored
-        self._abandon: Abandon = nothing
-        self._asked = 0.0  # when the last call began, in monotonic seconds
-        self._service = ""  # of the last call
-        self._silence = ""  # a warning about a late reply
-        self._namesakes = ""  # a warning about nodes with the same name
-        self._name_due = float("inf")  # the time in monotonic seconds at which they are reported
+        self._store = context.store
+        self._calls = NodeCalls(rule, context, wake, self._on_failure)
+        self._namesakes = NodeNamesakes(rule, context)
         self._ask_types = False
         self._declared: frozenset[str] = frozenset()
         self.skipped: list[str] = []
@@ -90,13 +71,13 @@ class MirroredNode:
     @property
     def troubles(self) -> dict[str, str]:
         """The problem of each parameter, by its name in ROS 1."""
-        whole = self._silence or self._namesakes
+        whole = self._calls.silence or self._namesakes.text
         return {**self._problems, **self._rejected, **({self.rule.ros1: whole} if whole else {})}
 
     @property
     def present(self) -> bool:
         """Whether all used services of the node are on the hub."""
-        return bool(self._clients) and all(client.ready for client in self._clients.values())
+        return self._calls.present
 
     def covers(self, key: str) -> bool:
         """Return whether a name on ROS 1's parameter server can be a copy that this rule made."""
@@ -106,125 +87,55 @@ class MirroredNode:
 
     def follow(self) -> None:
         """Begin a comparison with the node, unless one is running."""
-        if not self._clients:
-            for service, codec in self._codecs.items():
-                name = f"{self.rule.node}/{service}"
-                self._clients[service] = self._hub.client(name, codec.type.name, codec.type.type_id, self._wake)
+        self._calls.open()
         if not self.present:
             self._reset()
             return
-        self._check_name()
-        if self._busy:
-            self._check_reply(time.monotonic() - self._asked)
-        if not self._busy:
-            self._busy = True
+        self._namesakes.check()
+        self._calls.check_reply()
+        if not self._calls.busy:
             prefixes = [self.rule.prefix] if self.rule.prefix else []
-            self._call("list_parameters", {"prefixes": prefixes, "depth": 0}, self._on_names)
+            self._calls.call("list_parameters", {"prefixes": prefixes, "depth": 0}, self._on_names)
 
     def close(self) -> None:
         """Close the clients. Safe to call twice."""
-        clients, self._clients = self._clients, {}
+        self._calls.close()
         self._reset()
-        for client in clients.values():
-            client.close()
 
     def _reset(self) -> None:
         """Drop the state, the call and the problems of a node that has ended."""
-        self._end_call()
-        self._silence = self._namesakes = ""
+        self._calls.reset()
+        self._namesakes.reset()
         self._agreed, self._unknown = {}, frozenset()
         self._problems, self._rejected = {}, {}
         self.skipped, self._unheld = [], frozenset()
 
-    def _call(self, service: str, request: Mapping[str, Any], then: Callable[[dict[str, Any]], bool]) -> None:
-        """Call a service of the node.
-
-        ``then`` receives the response on the parameters' thread, and returns whether the comparison continues.
-        """
-        client, codec = self._clients[service], self._codecs[service]
-        self._call_number = number = self._call_number + 1
-        self._service, self._asked = service, time.monotonic()
-
-        def respond(result: bytes | CallError) -> None:
-            self._submit(lambda: accept(result), None)
-
-        def accept(result: bytes | CallError) -> None:
-            if self._call_number != number:
-                return  # abandoned meanwhile
-            self._busy = False
-            silence, self._silence = self._silence, ""
-            if isinstance(result, CallError):
-                self._problems = {self.rule.node: str(result)} if self.present else {}
-                return
-            if silence:
-                _log.info("parameters in %s are shared again: %s replies", self.rule.ros1, self.rule.node)
-            try:
-                self._busy = then(codec.response_value(result))
-            except ConversionError as err:
-                self._problems = {self.rule.node: str(err)}
-
-        self._abandon = client.call(codec.request(request), respond)
-
-    def _end_call(self) -> None:
-        """Abandon the call under way, if any."""
-        self._call_number += 1
-        self._busy = False
-        self._abandon()
-        self._abandon = nothing
-
-    def _check_name(self) -> None:
-        """Report native nodes of the hub that have the same name; the ROS 2 side reports those on DDS."""
-        servers = self._hub.graph.servers(f"{self.rule.node}/list_parameters")
-        count = sum(server.origin is None and not server.pending for server in servers)
-        if count < 2:
-            self._namesakes, self._name_due = "", float("inf")
-            return
-        now = time.monotonic()
-        self._name_due = min(self._name_due, now + NAMESAKE_SECONDS)
-        if now < self._name_due:
-            return
-        if not self._namesakes:
-            _log.warning("parameters in %s: %d nodes on the hub are named %s", self.rule.ros1, count, self.rule.node)
-        self._namesakes = (
-            f"{count} nodes on the hub are named {self.rule.node}, and any of them replies; rename or stop all but one"
-            " (ros2 run ... --ros-args -r __node:=NAME)"
-        )
-
-    def _check_reply(self, passed: float) -> None:
-        """Report a call whose reply is late, and at last abandon it."""
-        if passed > ANSWER_SECONDS and not self._silence:
-            self._silence = (
-                f"not shared at present: {self.rule.node} has not replied to {self._service} for {ANSWER_SECONDS:g} s;"
-                " if it hangs or spins no executor, restart it"
-            )
-            _log.warning("parameters in %s are %s", self.rule.ros1, self._silence)
-        if passed > REPEAT_SECONDS:
-            self._end_call()
+    def _on_failure(self, reason: str) -> None:
+        self._problems = {self.rule.node: reason} if self.present else {}
 
     # -- one comparison ------------------------------------------------------------------------------------------------
 
-    def _on_names(self, response: Mapping[str, Any]) -> bool:
+    def _on_names(self, response: Mapping[str, Any]) -> None:
         names = [name for name in response["result"]["names"] if self._names.rest(name) is not None]
         self.skipped = sorted(filter(self._names.is_skipped, response["result"]["names"]))
         self._declared = frozenset(self._names.rest(name) or "" for name in names)
         if self._ask_types:
-            self._call("get_parameter_types", {"names": names}, lambda types: self._ask_values(names, types["types"]))
+            request = {"names": names}
+            self._calls.call("get_parameter_types", request, lambda found: self._ask_values(names, found["types"]))
         else:
             self._ask_values(names, [ParameterType.STRING] * len(names))
-        return True
 
-    def _ask_values(self, names: Sequence[str], types: Sequence[int]) -> bool:
+    def _ask_values(self, names: Sequence[str], types: Sequence[int]) -> None:
         wanted = [name for name, kind in zip(names, types, strict=False) if kind != ParameterType.NOT_SET]
-        self._call("get_parameters", {"names": wanted}, lambda response: self._on_values(wanted, response))
-        return True
+        self._calls.call("get_parameters", {"names": wanted}, lambda response: self._on_values(wanted, response))
 
-    def _on_values(self, names: Sequence[str], response: Mapping[str, Any]) -> bool:
+    def _on_values(self, names: Sequence[str], response: Mapping[str, Any]) -> None:
         """Compare the node's values with the values in ROS 1 and with the values of the last comparison."""
         values = [ParameterValue.read(value) for value in response["values"]]
         if len(values) != len(names):
             # rclcpp and rclpy return no values if any of the parameters was declared but never set.
             self._ask_types = True
-            return False
+            return
         paths = [self._names.rest(name) or "" for name in names]
         node = {path: value for path, value in zip(paths, values, strict=True) if value != NOT_SET}
         ros1 = dict(flatten(self._store.watch([self.rule.ros1])[self.rule.ros1]))
@@ -248,9 +159,10 @@ class MirroredNode:
             self._problems[key] = "ROS 1's master rejects it"
         if unset:
             request = {"names": [self._names.ros2(path) for path in unset]}
-            self._call("describe_parameters", request, lambda response: self._on_types(shown, changes, unset, response))
-            return True
-        return self._set(shown, changes)
+            on_types = partial(self._on_types, shown, changes, unset)
+            self._calls.call("describe_parameters", request, on_types)
+        else:
+            self._set(shown, changes)
 
     def _representable(self, node: _Values) -> tuple[_Values, _Values]:
         """Return the values that ROS 1 can represent, and those that it cannot represent but whose names it allows.
@@ -366,7 +278,7 @@ class MirroredNode:
 
     def _on_types(
         self, shown: _Values, changes: _Values, unset: Mapping[str, Any], response: Mapping[str, Any]
-    ) -> bool:
+    ) -> None:
         """Convert ROS 1's values of unset parameters to the types that the node has declared."""
         writes: dict[str, Any] = {}
         for (path, value), descriptor in zip(unset.items(), response["descriptors"], strict=False):
@@ -377,17 +289,16 @@ class MirroredNode:
             else:
                 changes[path] = change
         self._store.write(writes)
-        return self._set(shown, changes)
+        self._set(shown, changes)
 
-    def _set(self, shown: _Values, changes: _Values) -> bool:
+    def _set(self, shown: _Values, changes: _Values) -> None:
         if not changes:
-            return False
+            return
         parameters = [{"name": self._names.ros2(path), "value": change.message()} for path, change in changes.items()]
         request = {"parameters": parameters}
-        self._call("set_parameters", request, lambda response: self._on_results(shown, changes, response))
-        return True
+        self._calls.call("set_parameters", request, lambda response: self._on_results(shown, changes, response))
 
-    def _on_results(self, shown: _Values, changes: _Values, response: Mapping[str, Any]) -> bool:
+    def _on_results(self, shown: _Values, changes: _Values, response: Mapping[str, Any]) -> None:
         """Reset values that the node rejected."""
         writes: dict[str, Any] = {}
         for (path, change), result in zip(changes.items(), response["results"], strict=False):
@@ -400,7 +311,6 @@ class MirroredNode:
             self._reject(key, f"{self.rule.node} rejected {change.content!r} for {self._names.ros2(path)}: {reason}")
             writes[key] = to_ros1(shown[path]) if path in shown.keys() - self._unheld else None
         self._store.write(writes)
-        return False
 
     def _reject(self, key: str, reason: str) -> None:
         self._rejected[key] = reason

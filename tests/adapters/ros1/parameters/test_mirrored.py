@@ -36,7 +36,7 @@ def test_problems_are_reported_while_the_next_comparison_reads_the_master() -> N
     context = ParameterContext(unused, REGISTRY, cast("Any", store), unused)
     node = store.node = MirroredNode(rule("ros2", "/top/below", "/node"), context, unused)
     for _ in range(2):
-        assert node._on_values(["speed"], {"values": [double(1.5).message()]}) is False
+        node._on_values(["speed"], {"values": [double(1.5).message()]})
     first, second = store.reported
     assert first == {}
     assert list(second) == ["/top/below/speed"]

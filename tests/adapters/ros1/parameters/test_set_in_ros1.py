@@ -7,7 +7,7 @@ import re
 
 import pytest
 
-from bridge.adapters.ros1.parameters import mirrored
+from bridge.adapters.ros1.parameters import node_calls
 from bridge.adapters.ros1.parameters.values import NOT_SET, ParameterType, ParameterValue, to_ros2
 from bridge.hub.node import Hub
 from tests.peers.ros1.network import RosMaster, needs_ros1
@@ -192,8 +192,8 @@ def test_a_node_that_hangs_is_reported(
 ):  # fmt: skip
     """Its executor may be busy, or nobody spins it; a reply may also be lost, when a node of its name ends."""
     caplog.set_level("INFO")
-    monkeypatch.setattr(mirrored, "ANSWER_SECONDS", 0.3)
-    monkeypatch.setattr(mirrored, "REPEAT_SECONDS", 0.6 if lost else 1e9)
+    monkeypatch.setattr(node_calls, "ANSWER_SECONDS", 0.3)
+    monkeypatch.setattr(node_calls, "REPEAT_SECONDS", 0.6 if lost else 1e9)
     name = f"/hanging_{lost}".lower()
     node = ParameterNode(hubs[1], f"{name}_node", gain=double(1.0))
     parameters = share(rule("ros2", name, f"{name}_node"))
@@ -201,7 +201,7 @@ def test_a_node_that_hangs_is_reported(
     assert parameters.warnings() == []
     node.hangs = True
     want = (
-        f"{name}: not shared at present: {name}_node has not replied to list_parameters for 0.3 s; if it hangs or spins"
+        f"{name}: not shared at present: {name}_node has not replied for 0.3 s; if it hangs or spins"
         " no executor, restart it"
     )
     until(lambda: parameters.warnings() == [f"parameter {want}"], "the node is reported")
@@ -221,7 +221,7 @@ def test_nodes_of_one_name_on_the_hub_are_reported(
     master: RosMaster, hubs: tuple[Hub, Hub], share: Share, caplog: pytest.LogCaptureFixture,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    monkeypatch.setattr(mirrored, "NAMESAKE_SECONDS", 0.3)
+    monkeypatch.setattr(node_calls, "NAMESAKE_SECONDS", 0.3)
     first = ParameterNode(hubs[1], "/double_node", gain=double(1.0))
     parameters = share(rule("ros2", "/double", "/double_node"))
     until(lambda: master.call("getParam", "/double") == {"gain": 1.0}, "the parameter is in ROS 1")
