@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 import pytest
+from typing_extensions import override
 
 from bridge.adapters.ros2.graph import names
 from bridge.adapters.ros2.graph.names import NamesakeWatch
@@ -16,9 +17,16 @@ from tests.peers.peer import Peer
 from tests.support.wait import until
 
 
+class Later(DelayedCalls):
+    """Calls nothing: the test does, and its clock jumps."""
+
+    @override
+    def every(self, seconds: float, call: Callable[[], object], first: float | None = None) -> None: ...
+
+
 @pytest.fixture
 def later() -> Iterator[DelayedCalls]:
-    calls = DelayedCalls("test-names")
+    calls = Later("test-names")
     yield calls
     calls.close(1.0)
 
