@@ -13,7 +13,7 @@ from pydantic import Field, create_model, model_validator
 from typing_extensions import override
 
 from bridge.config.digests import set_digests
-from bridge.config.sections.section import Section, differ, setting, subsection
+from bridge.config.sections.section import DrivenTopic, Section, differ, setting, subsection
 from bridge.descriptors import all_modules, all_workers
 from bridge.registration import imported
 from bridge.sides import own_sides
@@ -169,16 +169,24 @@ class Config(Section):
         """Set the digests of the sections' files, which a configuration from the daemon comes with."""
         set_digests(self, values)
 
+    def set_driven(self, topics: tuple[DrivenTopic, ...]) -> None:
+        """Set `driven_topics` as the daemon found them; this class has all sections, and ignores them."""
+
+    @property
+    def driven_topics(self) -> tuple[DrivenTopic, ...]:
+        """The topics that move this robot: those of ``navigation`` and of enabled modules and workers."""
+        sections: dict[str, Section] = {"navigation": self.navigation}
+        sections |= {f"modules.{name}": section for name, section in self.modules.sections.items()}
+        workers = {worker.name: getattr(self, worker.name) for worker in all_workers() if worker.section}
+        sections |= {name: section for name, section in workers.items() if getattr(section, "enabled", False)}
+        return tuple(DrivenTopic(of, *topic) for of, section in sections.items() for topic in section.driven)
+
     @property
     def rules(self) -> RoutingSection:
         """The rules of ``routing``, combined with those that follow from other sections (`bridge.config.rules`)."""
         from bridge.config.rules import with_commands, with_navigation
 
-        sections: dict[str, Section] = {"navigation": self.navigation}
-        sections |= {f"modules.{name}": section for name, section in self.modules.sections.items()}
-        workers = {worker.name: getattr(self, worker.name) for worker in all_workers() if worker.section}
-        sections |= {name: section for name, section in workers.items() if getattr(section, "enabled", False)}
-        return with_commands(with_navigation(self.routing, self.navigation), sections)
+        return with_commands(with_navigation(self.routing, self.navigation), self.driven_topics)
 
     @property
     def _own_planners(self) -> dict[str, OwnModule]:

@@ -14,6 +14,7 @@ from typing_extensions import override
 
 from bridge.config.digests import set_digests
 from bridge.config.model import FORMAT, Config, Default
+from bridge.config.sections.section import DrivenTopic
 
 
 class ReceivedConfig(Config):
@@ -21,6 +22,7 @@ class ReceivedConfig(Config):
 
     _sent: dict[str, Any] = PrivateAttr()
     _digests: Mapping[str, str] = PrivateAttr()
+    _driven: tuple[DrivenTopic, ...] | None = PrivateAttr()
 
     @classmethod
     def of(cls, data: dict[str, Any]) -> ReceivedConfig:
@@ -33,7 +35,9 @@ class ReceivedConfig(Config):
         object.__setattr__(config, "__dict__", values)
         object.__setattr__(config, "__pydantic_fields_set__", set(data))
         object.__setattr__(config, "__pydantic_extra__", None)
-        object.__setattr__(config, "__pydantic_private__", {"_digest": "", "_sent": sections, "_digests": {}})
+        object.__setattr__(
+            config, "__pydantic_private__", {"_digest": "", "_sent": sections, "_digests": {}, "_driven": None}
+        )
         return config
 
     if not TYPE_CHECKING:
@@ -53,6 +57,16 @@ class ReceivedConfig(Config):
     @override
     def set_digests(self, values: Mapping[str, str]) -> None:
         self._digests = values
+
+    @override
+    def set_driven(self, topics: tuple[DrivenTopic, ...]) -> None:
+        self._driven = topics
+
+    @property
+    @override
+    def driven_topics(self) -> tuple[DrivenTopic, ...]:
+        """The topics that move this robot; an earlier daemon does not send them, and then all sections are built."""
+        return super().driven_topics if self._driven is None else self._driven
 
     def _build(self) -> None:
         for name in self._sent:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +16,7 @@ from bridge.config.sections.navigation import (
     through_poses,
 )
 from bridge.config.sections.routing import RoutingSection, Rule
-from bridge.config.sections.section import Section
+from bridge.config.sections.section import DrivenTopic
 from bridge.messages.velocities import COMMAND_NAME, VELOCITIES
 
 POSE, PATH, GRID = "geometry_msgs/msg/PoseStamped", "nav_msgs/msg/Path", "nav_msgs/msg/OccupancyGrid"
@@ -34,15 +34,14 @@ class CommandRule(MadeRule):
     """Marks a topic's messages as commands, unless another rule sets their class; it does not let anything pass."""
 
 
-def with_commands(routing: RoutingSection, sections: Mapping[str, Section]) -> RoutingSection:
-    """Return the rules with a `CommandRule` for each topic that moves the robot of these sections (by their keys).
+def with_commands(routing: RoutingSection, driven: Iterable[DrivenTopic]) -> RoutingSection:
+    """Return the rules with a `CommandRule` for each topic that moves the robot.
 
     Topics whose names and types already imply commands need none.
     """
     rules = [
         CommandRule(of=of, kind="topic", topic=topic, type=type_name, priority="command")
-        for of, section in sections.items()
-        for topic, type_name in section.driven
+        for of, topic, type_name in driven
         if not (type_name in VELOCITIES and COMMAND_NAME.search(topic))
     ]
     return routing.model_copy(update={"rules": (*routing.rules, *rules)}) if rules else routing

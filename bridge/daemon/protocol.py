@@ -3,7 +3,9 @@
 Commands (daemon to worker)::
 
     {"config": {...}}                                    the whole configuration; the first one starts the worker
-    {"config": {...}, "digests": {"ros2": "1f..."}}      the same, with the digests of the files that sections name
+    {"config": {...}, "digests": {"ros2": "1f..."}, "driven": [["navigation", "/drive", "..."]]}
+                                                         the same, with what a worker would need all sections for:
+                                                         digests of the files that they name, topics that move the robot
     {"stop": true}
 
 Reports (worker to daemon)::
@@ -33,6 +35,7 @@ from typing import Any, Literal, NamedTuple, get_args
 
 from bridge.config.digests import digests
 from bridge.config.model import Config
+from bridge.config.sections.section import DrivenTopic
 from bridge.daemon.heartbeat import busy_line
 from bridge.progress import Busy
 from bridge.worker import Health
@@ -125,7 +128,8 @@ def encode_command(command: Command) -> bytes:
     match command:
         case NewConfig(config):
             files = dict(digests(config))
-            return _line({"config": config_json(config), **({"digests": files} if files else {})})
+            known = {"digests": files} if files else {}
+            return _line({"config": config_json(config), "driven": config.driven_topics, **known})
         case Stop():
             return _line({"stop": True})
 
@@ -139,6 +143,8 @@ def decode_command(line: bytes, parse: Callable[[dict[str, Any]], Config] = Conf
         try:
             config = parse(data["config"])
             config.set_digests({key: str(digest) for key, digest in data.get("digests", {}).items()})
+            if "driven" in data:
+                config.set_driven(tuple(DrivenTopic(*map(str, topic)) for topic in data["driven"]))
             return NewConfig(config)
         except Exception as err:  # also of the code of another package's section
             raise ProtocolError(f"an invalid configuration: {err}") from err

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from bridge.config.model import Config
 from bridge.config.received import ReceivedConfig
-from bridge.daemon.protocol import config_json
+from bridge.daemon.protocol import NewConfig, config_json, decode_command, encode_command
 from bridge.record.section import RecordSection
 from navigation.base_control.section import BaseControlSection
 
@@ -52,6 +52,17 @@ def test_a_section_is_built_when_it_is_used(received: ReceivedConfig) -> None:
     assert received.hub is section
     with pytest.raises(AttributeError, match="'hubs'"):
         getattr(received, "hubs")  # noqa: B009
+
+
+def test_the_rules_of_a_side_need_only_their_sections() -> None:
+    """The others cost a worker tens of milliseconds at its start."""
+    checked = Config.model_validate(CONFIG)
+    command = decode_command(encode_command(NewConfig(checked)), ReceivedConfig.of)
+    assert isinstance(command, NewConfig)
+    rules = command.config.rules
+    assert set(command.config.__dict__) == {"version", "name", "state", "routing", "navigation"}
+    assert rules == checked.rules
+    assert "/wheels" in {rule.topic for rule in rules.rules}
 
 
 def test_configurations_are_compared_by_their_values(received: ReceivedConfig) -> None:

@@ -9,7 +9,7 @@ import types
 import typing
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 from urllib.parse import urlsplit
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, model_validator
@@ -25,6 +25,14 @@ else:
 Enabled = Literal["auto", True, False]
 Mistake = tuple[tuple[str | int, ...], str]
 """The path of a key within a section, and what is wrong with its value."""
+
+
+class DrivenTopic(NamedTuple):
+    """A topic of the hub whose messages move the robot: the key of its section, its name and its type (ROS 2)."""
+
+    section: str
+    topic: str
+    type: str
 
 
 class Section(BaseModel):
