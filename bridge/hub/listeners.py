@@ -93,8 +93,11 @@ def _ip_address(endpoint: str) -> str:
 
 def has_address(address: str) -> bool:
     """Return whether a program on this machine can listen at an IP address; True for one that needs an interface."""
-    if ipaddress.ip_address(address).is_link_local and ":" in address:
-        return True
+    return (ipaddress.ip_address(address).is_link_local and ":" in address) or can_bind(address)
+
+
+def can_bind(address: str) -> bool:
+    """Return whether a socket of this machine can have an IP address; False for one that needs an interface."""
     family = socket.AF_INET6 if ":" in address else socket.AF_INET
     try:
         with socket.socket(family, socket.SOCK_DGRAM) as sock:

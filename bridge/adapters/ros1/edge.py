@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from typing_extensions import override
 
+from bridge.adapters.announced_address import AnnouncedAddress
 from bridge.adapters.ros1 import names
 from bridge.adapters.ros1.actions import discovery
 from bridge.adapters.ros1.actions.actions import Ros1Actions
@@ -90,6 +91,7 @@ class Ros1Edge(SideEdge):
         self._node: Ros1Node | None = None
         self._master: Master | None = None
         self._parameters: ParameterSharing | None = None
+        self._address = AnnouncedAddress("ros1", "ROS 1 node is", "ros1.ip, ros1.hostname")
         self._joined = False
         self._stopped = False
 
@@ -213,6 +215,7 @@ class Ros1Edge(SideEdge):
                 "the ROS 1 nodes run on /clock (parameter /use_sim_time) and this daemon on the machine's clock: set"
                 " clock.source to sim, or the parameter to false"
             )
+        warnings += [self._address.trouble] if self._address.trouble else []
         warnings += self._topics.warnings()
         subscribed = {(s.topic, s.node) for s in self._state.subscribers} if self._state is not None else set()
         for (topic, node), reason in sorted(self._book.rejected().items()):
@@ -231,6 +234,8 @@ class Ros1Edge(SideEdge):
             # an earlier worker that had parameter rules and was killed may have left copies on the master
             if not self._config.routing.parameters:
                 self._parameter_server().close()
+        if self._joined:
+            self._address.check(self._node.host)
         state = self._standing.update(listed)
         changed = state is not self._state
         self._state = state

@@ -9,17 +9,18 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
 from typing_extensions import override
 
+from bridge.adapters.announced_address import AnnouncedAddress
 from bridge.adapters.side_edge import SideEdge
 from bridge.adapters.yarp.contents import Contents
 from bridge.adapters.yarp.endpoints import PortEndpoints
 from bridge.adapters.yarp.graph import Ros1Ports, YarpContext, YarpGraph
-from bridge.adapters.yarp.network import PortNames, YarpNetwork, is_lost, new_id
+from bridge.adapters.yarp.network import PortNames, YarpNetwork, new_id
 from bridge.adapters.yarp.plan import make_plan
 from bridge.adapters.yarp.ports import OwnPorts
 from bridge.adapters.yarp.presence import WorkerPresence
@@ -38,7 +39,6 @@ from bridge.reconnecting_clients import ReconnectingClients, clients_file
 from bridge.routing.edge import Deliver, EdgeListener, Endpoint
 from bridge.state_file import keep
 from yarp_compat.ports.naming import NamingError
-from yarp_compat.wire.contact import PortContact
 from yarp_compat.wire.text import from_text
 
 _log = logging.getLogger(__name__)
@@ -80,7 +80,7 @@ class YarpEdge(SideEdge):
         self._endpoints = PortEndpoints(context, self.ports, self._services, self._topics.outputs)
         self._last_graph: tuple[object, ...] = ()
         self._disconnected = True
-        self._lost = ""  # why other machines cannot reach this worker's ports
+        self._address = AnnouncedAddress("yarp", "YARP ports are", "yarp.address, yarp.ip")
         self._mark_until = 0.0
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="midspan-yarp-names", daemon=True)
@@ -143,26 +143,12 @@ class YarpEdge(SideEdge):
         ros1 = frozenset[str]() if self._network.is_own else self._ros1.select(by_name)
         self._graph.update(self._network.naming, contacts, peers, ros1)
         self._presence.connect(self._graph.contacts, started)
-        self._check_address(by_name)
+        if own := by_name.get(self._presence.name):
+            self._address.check(own.host)
         self._update_ports()
         previous, self._last_graph = self._last_graph, (self.network(), *self.endpoints())
         if previous != self._last_graph:
             self._graph_changed()
-
-    def _check_address(self, by_name: Mapping[str, PortContact]) -> None:
-        """Report an address that this machine has lost since its ports were registered, and its return."""
-        contact, before = by_name.get(self._presence.name), self._lost
-        self._lost = ""
-        if contact is not None and is_lost(contact.host):
-            self._lost = (
-                f"this machine does not have the address {contact.host} now, under which its YARP ports are registered:"
-                " no program can connect to them; connect this machine to that network, or restart the daemon with its"
-                " current address (yarp.address, yarp.ip)"
-            )
-        if self._lost and not before:
-            _log.warning("yarp: %s", self._lost)
-        elif before and not self._lost:
-            _log.info("yarp: this machine has the address of its ports again")
 
     def _update_ports(self) -> None:
         """Open the ports that the routes need, and connect them."""
@@ -212,7 +198,7 @@ class YarpEdge(SideEdge):
             f"{node.port} does not announce its type; set one in yarp.topics for the topic {node.topic}"
             for node in self._endpoints.untyped()
         ]
-        unreachable += [self._lost] if self._lost else []
+        unreachable += [self._address.trouble] if self._address.trouble else []
         return [*unreachable, *self.ports.warnings(), *sorted(self._graph.trouble.values()), *untyped]
 
     @override

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing_extensions import override
 
 from bridge.config.sections.yarp import YarpSection
+from bridge.hub.listeners import can_bind
 from yarp_compat.naming import config as conf
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
@@ -190,23 +191,4 @@ def _is_here(address: Address) -> bool:
         addresses = {info[4][0] for info in socket.getaddrinfo(address.host, address.port, type=socket.SOCK_STREAM)}
     except (OSError, UnicodeError):
         return False
-    return all(ipaddress.ip_address(str(ip).partition("%")[0]).is_loopback or _is_own(str(ip)) for ip in addresses)
-
-
-def is_lost(host: str) -> bool:
-    """Return whether this machine lacks an IP address under which it has registered ports; False for a host name."""
-    try:
-        ipaddress.ip_address(host)
-    except ValueError:
-        return False
-    return not _is_own(host)
-
-
-def _is_own(ip: str) -> bool:
-    family = socket.AF_INET6 if ":" in ip else socket.AF_INET
-    with socket.socket(family, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.bind((ip, 0))
-        except OSError:
-            return False
-    return True
+    return all(ipaddress.ip_address(str(ip).partition("%")[0]).is_loopback or can_bind(str(ip)) for ip in addresses)

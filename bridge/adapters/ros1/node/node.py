@@ -48,7 +48,7 @@ class NodeEvents(NamedTuple):
 
 
 class Ros1Node:
-    """The node: ``uri`` (XML-RPC), ``port`` (TCPROS), ``address`` (of its services).
+    """The node: ``host``, ``uri`` (XML-RPC), ``port`` (TCPROS), ``address`` (of its services).
 
     Attributes:
         name: the node's name; may be changed while nothing is registered under the old name.
@@ -76,7 +76,7 @@ class Ros1Node:
         except OSError as err:
             msg = f"cannot listen on {address.bind}: {err.strerror}; check ROS_IP, ROS_HOSTNAME and ROS_IPV6"
             raise RuntimeError(msg) from None
-        self.port = self._tcpros.port
+        self.host, self.port = address.host, self._tcpros.port
         self.uri = f"http://{address.in_uri}:{self._server.port}/"
         self.address = f"rosrpc://{address.in_uri}:{self.port}"
         self._server.start()
