@@ -6,7 +6,7 @@ import logging
 import math
 import os
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +21,11 @@ from bridge.daemon.log_query import LOG, RecentLines
 from bridge.daemon.notify import Notifier
 from bridge.daemon.query import RELOAD, STATUS, Phase, QueryServer
 from bridge.daemon.readiness import Readiness
+from bridge.daemon.rollout import Rollout, stop_order
 from bridge.daemon.worker_process import WorkerProcess
 from bridge.daemon.worker_run import Timing
 from bridge.daemon.workers import worker_kinds
 from bridge.resources import raise_open_files
-from bridge.sides import all_sides
 from bridge.state_file import state_folder
 from bridge.status import DaemonStatus, WorkerReport
 from yarp_compat.selector_loop import SelectorLoop
@@ -44,7 +44,7 @@ KILLED_SECONDS = 1.0
 """A killed process that still exists after this time hangs in the kernel; not part of `STOP_SECONDS`."""
 
 _STOP_LIMITS = ((2.8, 2.8, 1.2), (2.9, 1.7, 3.0), (3.9, 1.0, STOP_SECONDS))
-"""Three times in seconds for each group of `_stop_order`. The first is when its workers are killed, counted from the
+"""Three times in seconds for each group of `stop_order`. The first is when its workers are killed, counted from the
 start of the whole stop; the second is the minimum time between their stop request and this kill. The third, also from
 the start, is when the next group is asked to stop, even if workers of earlier groups have not exited."""
 
@@ -88,18 +88,6 @@ class ConfigSource:
         return config
 
 
-def _stop_order(workers: Sequence[WorkerProcess]) -> tuple[list[WorkerProcess], ...]:
-    """Return the workers in three groups, in the order in which they stop.
-
-    The sides stop after the modules, so that a canceled goal and a zero velocity still reach the robot, and modules
-    can still unregister their YARP ports. Workers that survive a crash of the daemon, such as the router, stop last.
-    """
-    names = {side.name for side in all_sides()}
-    last = [worker for worker in workers if worker.kind.outlives]
-    sides = [worker for worker in workers if worker.name in names]
-    return [worker for worker in workers if worker not in (*last, *sides)], sides, last
-
-
 class Supervisor:
     """Starts, monitors and stops the workers, all in the daemon's only thread.
 
@@ -128,6 +116,7 @@ class Supervisor:
         self._stops = 0
         self._stop_requested = 0.0
         self._reload_wanted = False
+        self._rollout = Rollout(self._config, self.workers, timing.apply)
         self._refused = ""
         self._begun = self._stepped = time.monotonic()
 
@@ -168,7 +157,9 @@ class Supervisor:
             if machine != self._config.name:
                 reason = "this daemon keeps the name of its first start, under which its state is stored"
                 logger.warning("%s: the machine's name is %s now; %s", self._config.name, machine, reason)
-            self._begin(self._config)
+            self._readiness.begin()
+            for worker in self.workers:
+                worker.configure(self._config)
             while not self._stops:
                 self._step()
                 if self._reload_wanted:
@@ -193,23 +184,20 @@ class Supervisor:
         fault = f"a daemon named '{self._config.name}' already runs ({user}) with the state folder {self._config.state}"
         raise RuntimeError(f"{fault}; stop it, or give this one another 'name' or 'state'")
 
-    def _begin(self, config: Config) -> None:
-        self._readiness.begin()
-        for worker in self.workers:
-            worker.configure(config)
-
     def _first(self) -> str:
-        """Return the workers that must finish starting before another process may start, "" if it may start now.
+        """Return what must happen before another process may start, "" if it may start now.
 
         Starting all workers at once, or restarting them, only slows each of them. They start in the order of `workers`:
         first those that outlive the daemon, such as the router; then the sides; then others, such as the modules.
         """
+        if pending := self._rollout.pending:
+            return f"{' and '.join(pending)} to apply the new configuration"
         starting = [worker.name for worker in self.workers if worker.is_starting]
-        return " and ".join(starting) if len(starting) >= self._cores else ""
+        return f"{' and '.join(starting)} to start" if len(starting) >= self._cores else ""
 
     def _step(self) -> None:
         interval = self._notify.watchdog_interval
-        pauses = (self._readiness.pause, interval / 2 if interval else math.inf)
+        pauses = (self._readiness.pause, self._rollout.pause, interval / 2 if interval else math.inf)
         pause = min(*pauses, *(worker.pause for worker in self.workers))
         self.loop.step(pause)
         now = time.monotonic()
@@ -218,8 +206,14 @@ class Supervisor:
         for worker in self.workers:
             if late > SUSPENDED_AFTER:
                 worker.forgive(late)
+        self._rollout.step()
+        for worker in self.workers:
             worker.tick()
-        self._readiness.step(now, lambda: all(worker.settled for worker in self.workers))
+        self._readiness.step(now, self._settled)
+
+    def _settled(self) -> bool:
+        """Return whether all workers have started, or cannot, and none has an older configuration."""
+        return not self._rollout.pending and all(worker.settled for worker in self.workers)
 
     def status(self) -> str:
         """Return the state of all workers in one line."""
@@ -287,13 +281,14 @@ class Supervisor:
         self._refused = ""
         log.set_level(config)
         self._config = config
-        self._begin(config)
+        self._readiness.begin()
+        self._rollout.begin(config)
         return {"rejected": ""}
 
     # -- the end -------------------------------------------------------------------------------------------------------
 
     def _end(self) -> None:
-        """Stop all workers within `STOP_SECONDS`, in the order of `_stop_order`."""
+        """Stop all workers within `STOP_SECONDS`, in the order of `stop_order`."""
         self._notify.stopping()
         self._notify.status("stopping")
         begun = time.monotonic()
@@ -301,7 +296,7 @@ class Supervisor:
             if worker.is_service:
                 worker.release()
         asked: list[WorkerProcess] = []
-        for group, (killed_after, at_least, next_after) in zip(_stop_order(self.workers), _STOP_LIMITS, strict=True):
+        for group, (killed_after, at_least, next_after) in zip(stop_order(self.workers), _STOP_LIMITS, strict=True):
             asked += group
             seconds = max(at_least, begun + killed_after - time.monotonic())
             for worker in group:

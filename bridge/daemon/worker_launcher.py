@@ -34,8 +34,8 @@ class Launch(NamedTuple):
 class WorkerLauncher:
     """Starts the processes of one worker.
 
-    A separate service runs a ``standing`` worker: it is adopted and never started. ``first`` returns the workers that
-    must finish starting before this one may start, "" if none. ``listener`` receives the reports of the processes.
+    A separate service runs a ``standing`` worker: it is adopted and never started. ``first`` returns what must
+    happen before this one may start, "" if nothing must. ``listener`` receives the reports of the processes.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class WorkerLauncher:
             if not lock.try_lock():
                 return self._wait_for(lock)
             if first := self._first():
-                return Launch(WorkerEvent.QUEUE, f"waiting for {first} to start")
+                return Launch(WorkerEvent.QUEUE, f"waiting for {first}")
             self._blocked_since, self._waited_for = 0.0, ""
             return Launch(WorkerEvent.START, channel=self._spawn(config, lock))
         finally:

@@ -27,8 +27,8 @@ STEP = 0.25
 class WorkerProcess:
     """Runs and monitors one worker.
 
-    A separate service runs a ``standing`` worker: the daemon adopts it and never starts it. ``first`` returns the
-    workers that must finish starting before this one may start, "" if none.
+    A separate service runs a ``standing`` worker: the daemon adopts it and never starts it. ``first`` returns what
+    must happen before this one may start, "" if nothing must.
 
     Attributes:
         state: the worker's state; `bridge.daemon.worker_states` defines the transitions.
@@ -110,6 +110,11 @@ class WorkerProcess:
     def settled(self) -> bool:
         """Whether the worker is in a stable phase and no reload is pending."""
         return self.phase in {Phase.OFF, Phase.UNAVAILABLE, Phase.UP, Phase.FAILED} and not self._run.reloading
+
+    @property
+    def is_reconfiguring(self) -> bool:
+        """Whether the process is stopping, or has not applied its new configuration yet."""
+        return self.phase is Phase.STOPPING or self._run.reloading
 
     @property
     def is_service(self) -> bool:

@@ -25,6 +25,7 @@ class Timing:
         start: longest time without progress while starting; it doubles after each such failure, up to a limit.
         patience: a starting worker without progress for this time no longer delays the start of others.
         stop: from the stop request until SIGKILL.
+        apply: longest wait until a group of workers has applied a configuration, or has stopped, before others get it.
         retry: pause before a worker that cannot work here is started again.
         service_poll: interval of polling for a worker that a separate service runs.
         exit_poll: interval of polling for the exit of an earlier daemon's worker.
@@ -34,6 +35,7 @@ class Timing:
     start: float = 60.0
     patience: float = 3.0
     stop: float = 2.8
+    apply: float = 6.0
     retry: float = 30.0
     service_poll: float = 0.2
     exit_poll: float = 0.05

@@ -3,24 +3,33 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
+from collections import defaultdict
 from pathlib import Path
 
 import pytest
 
 from bridge.config.model import Config
-from bridge.daemon.query import reload_daemon
+from bridge.daemon.query import ask_daemon, reload_daemon
 from bridge.hub.security.certificates import Authority
 from tests.peers.daemon.daemon import Daemon, alive
 from tests.support.process import Process
 from tests.support.wait import until
 
 WORKERS = ("router", "ros1", "ros2")
+MANY = 8  #: cores: all workers start at once
 
 
 def reload(daemon: Daemon, process: Process, config: str) -> None:
     daemon.configure(config)
     process.signal(signal.SIGHUP)
+
+
+def phases(daemon: Daemon) -> dict[str, str]:
+    """Return the workers' phases, by name."""
+    status = ask_daemon(Config(name="test", state=daemon.folder / "state"), 20.0)
+    return defaultdict(str, {} if status is None else {report.worker: report.phase for report in status.workers})
 
 
 def test_only_workers_that_use_the_change_reload(daemon: Daemon) -> None:
@@ -62,6 +71,49 @@ def test_only_the_worker_that_needs_a_restart_is_restarted(daemon: Daemon) -> No
     assert len(daemon.events("ros1", "stop")) == 1
     until(lambda: process.output().count("ready: ") == 2, "the daemon is ready again")
     assert len(daemon.pids("ros2")) == len(daemon.pids("router")) == 1
+
+
+def test_workers_that_restart_stop_in_order_before_any_starts(daemon: Daemon) -> None:
+    """A canceled goal and a zero velocity of the modules still reach the robot through the sides."""
+    workers = ("router", "ros1", "ros2", "sim")
+    for worker in workers:
+        daemon.order(worker, "refuse-reload")
+    daemon.order("sim", "refuse-reload", "wait-at-stop")
+    daemon.configure("sim: {enabled: true}\n")
+    process = daemon.quick(MANY, stop=60.0, apply=60.0)
+    daemon.wait_ready(process)
+    reload(daemon, process, "sim: {enabled: true}\nlog: {level: debug}\n")
+    until(lambda: daemon.events("sim", "stop"), "the simulator stops")
+    until(lambda: phases(daemon)["sim"] == "stopping", "the daemon reports it")
+    assert phases(daemon)["ros1"] == "running", "a side runs until the simulator has stopped"
+    assert [daemon.events(worker, "reload") for worker in WORKERS] == [[], [], []]
+    daemon.order("sim", "refuse-reload")
+    until(lambda: process.output().count("ready: ") == 2, "the daemon is ready again")
+    reloaded = process.output().partition("configuration reloaded")[2]
+    steps = re.findall(r"stopping \w+|\w+ ended with exit code 0|\w+ started", reloaded)
+    assert steps[:2] == ["stopping sim", "sim ended with exit code 0"]
+    assert sorted(steps[2:6]) == [
+        "ros1 ended with exit code 0",
+        "ros2 ended with exit code 0",
+        "stopping ros1",
+        "stopping ros2",
+    ]
+    assert steps[6:8] == ["stopping router", "router ended with exit code 0"]
+    assert steps[8] == "router started"
+    assert sorted(steps[8:]) == [f"{worker} started" for worker in sorted(workers)]
+
+
+def test_a_worker_that_does_not_apply_a_reload_delays_the_others_only_for_a_time(daemon: Daemon) -> None:
+    daemon.order("sim", "compute-at-reload")
+    daemon.configure("sim: {enabled: true}\n")
+    process = daemon.quick(MANY, apply=0.5)
+    daemon.wait_ready(process)
+    reload(daemon, process, "sim: {enabled: true}\nlog: {level: debug}\n")
+    until(lambda: daemon.events("sim", "reload"), "the simulator reloads")
+    until(lambda: all(daemon.events(worker, "reload") for worker in WORKERS), "the others reload")
+    assert process.output().count("ready: ") == 1
+    daemon.order("sim")
+    until(lambda: process.output().count("ready: ") == 2, "the daemon is ready again")
 
 
 @pytest.mark.parametrize(

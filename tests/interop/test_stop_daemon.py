@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 
 import pytest
+import yaml
 
 from tests.peers.daemon.deployment import Deployment
 from tests.peers.navigation.mix import MOVE_BASE, NAV2, Mix
 from tests.peers.navigation.mix_clients import ROS1, ROS2, YARP, ZENOH, RosClient, ZenohClient
 from tests.peers.navigation.mix_faults import STANDS_SECONDS, Watch, start_driving
+from tests.support.ports import free_port
+from tests.support.wait import until
 
 STRICT = 0.01
 """Seconds of tolerance, because the processes record times after the event."""
@@ -55,6 +59,34 @@ def assert_ends(mix: Mix, name: str, number: int) -> None:
 )
 def test_a_stop_of_the_daemon_ends_a_goal_of_move_base(deployment: Deployment, client: str, number: int) -> None:
     assert_ends(Mix.over(deployment, MOVE_BASE, cycle=CYCLE), client, number)
+
+
+@thorough
+def test_a_reload_stops_the_modules_before_a_side_that_restarts(deployment: Deployment) -> None:
+    """The side, which runs the name server, still carries the modules' last messages."""
+    mix = Mix.over(deployment, MOVE_BASE, cycle=CYCLE)
+    client = mix.clients[ROS2]
+    assert isinstance(client, RosClient)
+    start_driving(mix, client)
+    watch = Watch(mix, ROS2)
+    daemon = deployment.daemon
+    assert daemon is not None
+    ready = daemon.output().count("ready: ")
+    config = yaml.safe_load(deployment.file.read_text())
+    config["yarp"]["address"] = f"127.0.0.1:{free_port()}"
+    deployment.file.write_text(yaml.safe_dump(config))
+    deployment.hang_up()
+    watch.until(lambda: not watch.base.moves, "the base stands although the gateway has stopped", STANDS_SECONDS)
+    watch.until(client.end, "the client's goal has an end", END_SECONDS)
+    assert client.ends() == 1, f"the client's goal had {client.ends()} ends; {watch}"
+    until(lambda: daemon.output().count("ready: ") > ready, "the workers run again", 60)
+    reloaded = daemon.output().rpartition("configuration reloaded")[2]
+    steps = re.findall(r"stopping \w+|\w+ ended with exit code 0|\w+ started", reloaded)
+    assert steps[:2] == ["stopping modules", "modules ended with exit code 0"]
+    assert steps[2:4] == ["stopping yarp", "yarp ended with exit code 0"]
+    assert steps[4:] == ["yarp started", "modules started"]
+    assert "cannot unregister port" not in reloaded
+    watch.close()
 
 
 @thorough

@@ -98,6 +98,8 @@ class Fake(Worker):
 
     def reload(self, config: Config) -> bool:
         self._note(f"reload {config.routing.default}")
+        while "compute-at-reload" in self._orders():
+            _compute()
         return "refuse-reload" not in self._orders()
 
     def health(self) -> Health:
@@ -127,6 +129,8 @@ class Fake(Worker):
         self._note(f"stop {os.getpid()}")
         if "hang-at-stop" in self._orders():
             time.sleep(FOREVER)
+        while "wait-at-stop" in self._orders():
+            time.sleep(0.01)
 
 
 class Router(Fake):

@@ -20,6 +20,7 @@ def main() -> None:
     supervisor = Supervisor(Path(file), timing=timing, cores=int(cores))
     log.setup(supervisor.config, "midspan", log.Style.TERMINAL)
     signal.signal(signal.SIGTERM, lambda *_: supervisor.request_stop())
+    signal.signal(signal.SIGHUP, lambda *_: supervisor.request_reload())
     supervisor.run()
 
 
