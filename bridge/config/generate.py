@@ -218,8 +218,9 @@ as the first line of a file, editors check and complete it while you type.
 `midspan reload` (or SIGHUP, or `systemctl reload midspan`) checks the file and loads it again. A file with a problem
 changes nothing: the daemon keeps its earlier configuration, and the log, `midspan status` and `midspan doctor`
 report the reason until a reload succeeds. Only the workers that use changed keys reload or restart; modules
-stop before the sides, so that their last messages arrive. `name` and `state` need a restart of the daemon. If the contents of a file that a key names have changed, a reload acts as if the key had
-changed, and refuses contents that cannot be used:
+stop before the sides, so that their last messages arrive. `name` and `state` need a restart of the daemon. If the
+contents of a file that a key names have changed, a reload acts as if the key had changed, and refuses contents that
+cannot be used:
 
 | Changed contents of | A reload |
 |---|---|

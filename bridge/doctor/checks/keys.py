@@ -5,7 +5,7 @@ from __future__ import annotations
 from bridge.doctor.check import Finding, Findings, fail, ok, outdated_cure, skip, warn
 from bridge.doctor.context import CheckContext
 from bridge.hub.errors import HubConfigError
-from bridge.hub.security.certificates import Certificate, CertificateError, read_certificate, signed_by
+from bridge.hub.security.certificates import Certificate, CertificateError, read_certificate, signer
 from bridge.hub.security.external_router import has_tls, key_files
 from bridge.hub.security.key_files import KeyFiles
 from bridge.status import RouterStatus
@@ -20,18 +20,17 @@ def check_keys(context: CheckContext) -> Findings:
     files = key_files(context.config)
     try:
         files.check()
-        certificate, authority = read_certificate(files.certificate), read_certificate(files.ca)
-        signed = signed_by(files.certificate, files.ca)
+        certificate, authority = read_certificate(files.certificate), signer(files.certificate, files.ca)
     except (HubConfigError, CertificateError) as err:
         return fail(str(err), "'midspan keys make' makes the files; see docs/operate/security.md")
     findings = [
         *_validity(certificate),
-        *_validity(authority),
+        *_validity(authority or read_certificate(files.ca)),
         *_unusable(files),
         *_key_mode(files),
         *_untrusted(certificate.name, context),
     ]
-    if not signed:
+    if authority is None:
         cure = "copy both from the same folder of 'midspan keys'"
         findings.append(fail(f"{files.certificate} was not signed by {files.ca}", cure))
     if certificate.name != context.config.name:

@@ -164,7 +164,7 @@ class Authority:
     def _load(self) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:
         file = self.folder / f"{AUTHORITY}.key"
         try:
-            certificate = _load(self.folder / f"{AUTHORITY}.pem")
+            certificate = _load(self.folder / f"{AUTHORITY}.pem")[0]
             key = serialization.load_pem_private_key(file.read_bytes(), password=None)
         except (OSError, ValueError, TypeError) as err:
             raise CertificateError(f"the authority's key cannot be used: {err}") from None
@@ -191,8 +191,11 @@ class Authority:
 
 
 def read_certificate(file: Path) -> Certificate:
-    """Return the content of a certificate file; raises `CertificateError` if it cannot be read."""
-    certificate = _load(file)
+    """Return the first certificate in a file; raises `CertificateError` if it cannot be read."""
+    return _content(file, _load(file)[0])
+
+
+def _content(file: Path, certificate: x509.Certificate) -> Certificate:
     try:
         alternatives = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
         names = tuple(str(name.value) for name in alternatives)
@@ -208,27 +211,50 @@ def read_certificate(file: Path) -> Certificate:
     )
 
 
-def signed_by(file: Path, authority: Path) -> bool:
-    """Return whether an authority signed a certificate; raises `CertificateError` if a file cannot be read."""
+def signer(file: Path, authorities: Path) -> Certificate | None:
+    """Return the authority that signed a certificate, None if there is none of it in the file of authorities.
+
+    The certificate's file may also contain the intermediate authorities between the two (RFC 8446, 4.4.2).
+
+    Raises `CertificateError` if a file cannot be read.
+    """
+    (certificate, *between), roots = _load(file), _load(authorities)
+    while True:
+        for root in roots:
+            if _signed(certificate, root):
+                return _content(authorities, root)
+        issuer = next((other for other in between if _signed(certificate, other)), None)
+        if issuer is None:
+            return None
+        between.remove(issuer)
+        certificate = issuer
+
+
+def _signed(certificate: x509.Certificate, issuer: x509.Certificate) -> bool:
     try:
-        _load(file).verify_directly_issued_by(_load(authority))
+        certificate.verify_directly_issued_by(issuer)
     except (InvalidSignature, ValueError, TypeError):
         return False
     return True
+
+
+def unsigned(files: KeyFiles) -> str:
+    """Return that no authority of this machine signed its certificate, "" if one did; raises `CertificateError`."""
+    if signer(files.certificate, files.ca) is not None:
+        return ""
+    return f"{files.certificate} was not signed by {files.ca}; copy both from the same folder of 'midspan keys'"
 
 
 def trouble(files: KeyFiles) -> str:
     """Return why no machine accepts this certificate now, "" if no reason is known."""
     try:
         files.check()
-        certificate, signed = read_certificate(files.certificate), signed_by(files.certificate, files.ca)
+        certificate, strange = read_certificate(files.certificate), unsigned(files)
     except (HubConfigError, CertificateError) as err:
         return str(err)
     if (outdated := certificate.outdated()) and not certificate.begins_later():
         return f"{outdated}; {certificate.renewal}"
-    if not signed:
-        return f"{files.certificate} was not signed by {files.ca}; copy both from the same folder of 'midspan keys'"
-    return ""
+    return strange
 
 
 def early(files: KeyFiles) -> str:
@@ -245,9 +271,10 @@ def early(files: KeyFiles) -> str:
     return f"{certificate.outdated()}; set this machine's clock, or if it is right: {certificate.renewal}"
 
 
-def _load(file: Path) -> x509.Certificate:
+def _load(file: Path) -> list[x509.Certificate]:
+    """Return the certificates in a file, at least one."""
     try:
-        return x509.load_pem_x509_certificate(file.read_bytes())
+        return x509.load_pem_x509_certificates(file.read_bytes())
     except OSError as err:
         msg = f"{file}: {err.strerror}"
     except ValueError:

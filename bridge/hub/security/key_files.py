@@ -69,6 +69,15 @@ def tls_trouble(ca: Path, certificate: Path | None, key: Path | None) -> str:
     return ""
 
 
+def _unsigned(files: KeyFiles) -> str:
+    from bridge.hub.security.certificates import CertificateError, unsigned  # only renewals need the library
+
+    try:
+        return unsigned(files)
+    except CertificateError as err:
+        return str(err)
+
+
 class KeyWatch:
     """Detects that a machine's key files were replaced since this object was created.
 
@@ -82,7 +91,7 @@ class KeyWatch:
         self._used = self._seen = self._stamp()
 
     def renewed(self) -> bool:
-        """Return whether there are new, usable files: they are complete, and the key matches its certificate."""
+        """Return whether there are new, usable files: complete, with the certificate's key and authority."""
         stamp, before = self._stamp(), self._seen
         self._seen = stamp
         if stamp == self._used:
@@ -90,7 +99,7 @@ class KeyWatch:
             return False
         if stamp != before:  # still being copied
             return False
-        reason = self._files.trouble()
+        reason = self._files.trouble() or _unsigned(self._files)
         if not reason:
             self._used, self.trouble = stamp, ""
             return True

@@ -16,7 +16,7 @@ from bridge.config.model import Config
 from bridge.doctor.check import Result
 from bridge.doctor.checks import keys as key_checks
 from bridge.hub.security import certificates
-from bridge.hub.security.certificates import Authority, CertificateError, read_certificate, signed_by
+from bridge.hub.security.certificates import Authority, CertificateError, read_certificate, signer
 from tests.doctor.parts import around, every, hub, only, results
 
 
@@ -112,7 +112,7 @@ def test_files_are_not_overwritten_without_the_option(tmp_path: Path, capsys: py
     assert run(tmp_path, "make", "robot1", "--replace") == 0
     assert (tmp_path / "robot1.pem").read_bytes() != before[0]
     assert (tmp_path / "ca.pem").read_bytes() == before[1]
-    assert signed_by(tmp_path / "robot1.pem", tmp_path / "ca.pem")
+    assert signer(tmp_path / "robot1.pem", tmp_path / "ca.pem") == read_certificate(tmp_path / "ca.pem")
     with pytest.raises(CertificateError, match="authority in"):
         Authority(tmp_path).make()
 
@@ -208,6 +208,16 @@ def test_doctor_finds_a_key_that_does_not_fit(folder: Path) -> None:
     (folder / "robot1.key").unlink()
     (folder / "robot1.key").mkdir()
     assert key_findings(folder) == [(Result.FAIL, f"{folder / 'robot1.key'} is a folder, not a file")]
+
+
+def test_doctor_checks_the_authority_of_this_machine_among_several(folder: Path, tmp_path: Path) -> None:
+    """While an authority is replaced, `ca.pem` has both, and the former one may have expired."""
+    Authority(tmp_path / "former").make(days=-1)
+    former = (tmp_path / "former" / "ca.pem").read_bytes()
+    (folder / "ca.pem").write_bytes(former + (folder / "ca.pem").read_bytes())
+    assert [result for result, _ in key_findings(folder)] == [Result.OK]
+    (folder / "ca.pem").write_bytes(former)
+    assert [result for result, _ in key_findings(folder)] == [Result.FAIL, Result.FAIL], "expired, and did not sign"
 
 
 def test_doctor_names_machines_that_refuse_commands(folder: Path) -> None:

@@ -15,8 +15,9 @@ from bridge.config.model import Config
 from bridge.hub.errors import HubError
 from bridge.hub.node import Hub
 from bridge.hub.router import RouterWorker
-from bridge.hub.security.certificates import Authority
+from bridge.hub.security.certificates import Authority, trouble
 from bridge.hub.security.external_router import ExternalRouter
+from bridge.hub.security.key_files import KeyFiles
 from bridge.hub.wire.keys import pack_attachment, topic_key
 from tests.peers.hub.endpoints import HASH, LATCHED, TYPE, Subscriber, advertise, matched, see_each_other
 from tests.peers.hub.machines import FLOAT, Machines, make_keys
@@ -307,6 +308,40 @@ def test_new_certificates_are_used_once_they_match(tmp_path: Path, caplog: pytes
         assert shown(machines) == ssl.PEM_cert_to_DER_cert(whole.decode()) != first
         assert [str(zid) for zid in local.info.routers_zid()], "this machine's programs stay connected"
         assert received_from(machines, "friend", put_each([CMD_VEL])) == [(CMD_VEL, "go"), (CMD_VEL, "")]
+    finally:
+        machines.close()
+        router.stop()
+
+
+def test_the_authority_is_replaced_while_machines_stay_connected(tmp_path: Path) -> None:
+    """The steps of docs/operate/security.md, with the robot's and the friend's certificates in one folder."""
+    old, new = Authority(tmp_path), Authority(tmp_path / "new")
+    for authority in (old, new):
+        authority.make()
+        for name in ("test", "friend"):
+            authority.issue(name, ["127.0.0.1"])
+    machines = Machines(tmp_path)
+    router = RouterWorker()
+    router.start(
+        Config.model_validate({"name": "test", "hub": machines.network.config(open=machines.network.external)})
+    )
+    files = KeyFiles(tmp_path / "ca.pem", tmp_path / "test.pem", tmp_path / "test.key")
+    before, after = (folder / "ca.pem" for folder in (old.folder, new.folder))
+    try:
+        for copied in (
+            {"ca.pem": before.read_bytes() + after.read_bytes()},
+            {name: (new.folder / name).read_bytes() for name in ("test.pem", "test.key")},
+            {name: (new.folder / name).read_bytes() for name in ("friend.pem", "friend.key")},
+            {"ca.pem": after.read_bytes()},
+        ):
+            for name, content in copied.items():
+                (tmp_path / name).write_bytes(content)
+            for _ in range(3):
+                assert "cannot be used" not in router.health().text, list(copied)
+            assert trouble(files) == "", "the doctor and the console accept the files, too"
+            assert received_from(machines, "friend", put_each([CMD_VEL])) == [(CMD_VEL, "go"), (CMD_VEL, "")]
+            machines.close()
+        assert shown(machines) == ssl.PEM_cert_to_DER_cert((new.folder / "test.pem").read_text())
     finally:
         machines.close()
         router.stop()

@@ -66,6 +66,20 @@ def test_trouble_ends_when_the_old_files_are_back(tmp_path: Path) -> None:
     assert watch.trouble == ""
 
 
+def test_a_new_authority_is_used_with_the_certificate_that_it_signed(tmp_path: Path) -> None:
+    """The files arrive one after the other; with the first alone, no machine would accept this one."""
+    files = make(tmp_path / "here")
+    new = make(tmp_path / "new")
+    watch = KeyWatch(files)
+    files.ca.write_bytes(new.ca.read_bytes())
+    assert not any([watch.renewed(), watch.renewed()])
+    assert f"{files.certificate} was not signed by {files.ca}" in watch.trouble
+    files.certificate.write_bytes(new.certificate.read_bytes())
+    files.key.write_bytes(new.key.read_bytes())
+    assert [watch.renewed(), watch.renewed()] == [False, True]
+    assert watch.trouble == ""
+
+
 def test_status_warns_of_new_files_that_cannot_be_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     class OpenRouter:
         trouble = ""
