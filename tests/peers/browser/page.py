@@ -79,9 +79,13 @@ class TestPage:
         return result
 
     def value(self, feed: str, wanted: Callable[[Any], Any] = bool, what: str = "") -> Any:
-        """Wait until a feed has the wanted value, and return it."""
-        what = what or f"the feed {feed} has a value"
-        self.until(lambda: feed in self.values and wanted(self.values[feed]["value"]), what)
+        """Wait until a feed has the wanted value, which is not None (the server has none yet), and return it."""
+
+        def holds() -> bool:
+            value = self.values.get(feed, {}).get("value")
+            return value is not None and bool(wanted(value))
+
+        self.until(holds, what or f"the feed {feed} has a value")
         return self.values[feed]["value"]
 
     def call(self, verb: str, **args: Any) -> dict[str, Any]:

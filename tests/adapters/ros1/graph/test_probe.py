@@ -126,7 +126,9 @@ def test_alternating_failures_are_logged_once_each(prober, caplog: pytest.LogCap
 
         until(poll, "the publisher is probed several times")
         prober.update(frozenset())  # before the node closes its connections, which would be another failure
-    assert [record.getMessage().rpartition(": ")[2] for record in caplog.records] == ["no route", "timed out"]
+    # a probe of an earlier test may still be logged
+    reasons = [text.rpartition(": ")[2] for text in caplog.messages if "/flapping" in text]
+    assert reasons == ["no route", "timed out"]
 
 
 def test_a_publisher_that_does_not_respond_yet_is_probed_again(prober):
