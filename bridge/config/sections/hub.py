@@ -52,7 +52,7 @@ class OpenSection(Section):
 
     @override
     def named_files(self) -> Iterator[Path]:
-        """Return the files of `zenoh`; the router itself watches the others (`bridge.hub.security.key_files`)."""
+        """Return the files of `zenoh`; the router itself watches the others (`bridge.hub.security.key_watch`)."""
         return zenoh_files(self.zenoh)
 
     @property

@@ -15,7 +15,7 @@ from bridge.config.rules import commands
 from bridge.hub.errors import HubError
 from bridge.hub.security.endpoints import closed_endpoints
 from bridge.hub.security.external_router import ExternalRouter, has_tls, key_files
-from bridge.hub.security.key_files import KeyWatch
+from bridge.hub.security.key_watch import KeyWatch
 from bridge.hub.security.zenoh_log import ZenohLog
 from bridge.status import EndpointStatus, MachineStatus, RouterStatus
 

@@ -1,11 +1,10 @@
-"""The files of a machine's identity, and a watch for new ones.
+"""The files of a machine's identity.
 
-This module does not import the library that reads certificates, which the router's process does not need.
+This module does not import the library that reads certificates, which the router's process rarely needs.
 """
 
 from __future__ import annotations
 
-import logging
 import os
 import ssl
 import stat
@@ -14,10 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bridge.hub.errors import HubConfigError
-
-_log = logging.getLogger(__name__)
-
-_Stamp = tuple[tuple[int, int, int] | None, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,55 +62,3 @@ def tls_trouble(ca: Path, certificate: Path | None, key: Path | None) -> str:
         mismatch = isinstance(err, ssl.SSLError) and err.reason in ("KEY_VALUES_MISMATCH", "KEY_TYPE_MISMATCH")
         return f"{key} is not the key of {certificate}" if mismatch else f"{key} cannot be used: {err}"
     return ""
-
-
-def _unsigned(files: KeyFiles) -> str:
-    from bridge.hub.security.certificates import CertificateError, unsigned  # only renewals need the library
-
-    try:
-        return unsigned(files)
-    except CertificateError as err:
-        return str(err)
-
-
-class KeyWatch:
-    """Detects that a machine's key files were replaced since this object was created.
-
-    Attributes:
-        trouble: why the new files cannot be used, or "".
-    """
-
-    def __init__(self, files: KeyFiles) -> None:
-        self._files = files
-        self.trouble = ""
-        self._used = self._seen = self._stamp()
-
-    def renewed(self) -> bool:
-        """Return whether there are new, usable files: complete, with the certificate's key and authority."""
-        stamp, before = self._stamp(), self._seen
-        self._seen = stamp
-        if stamp == self._used:
-            self.trouble = ""
-            return False
-        if stamp != before:  # still being copied
-            return False
-        reason = self._files.trouble() or _unsigned(self._files)
-        if not reason:
-            self._used, self.trouble = stamp, ""
-            return True
-        # check them again at the next call: an owner or a mode can be corrected without a change of the files
-        trouble = f"the new certificates cannot be used, the old ones stay in use: {reason}"
-        if trouble != self.trouble:
-            _log.error("hub.open: %s", trouble)
-        self.trouble = trouble
-        return False
-
-    def _stamp(self) -> _Stamp:
-        stamps: list[tuple[int, int, int] | None] = []
-        for file in (self._files.ca, self._files.certificate, self._files.key):
-            try:
-                status = file.stat()
-                stamps.append((status.st_mtime_ns, status.st_size, status.st_ino))
-            except OSError:
-                stamps.append(None)
-        return tuple(stamps)

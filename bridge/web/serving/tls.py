@@ -8,7 +8,7 @@ import ssl
 from bridge.config.model import Config
 from bridge.hub.security.certificates import read_certificate, trouble
 from bridge.hub.security.external_router import key_files
-from bridge.hub.security.key_files import KeyWatch
+from bridge.hub.security.key_watch import KeyWatch
 from bridge.web.section import WebSection
 from bridge.worker import WorkerFailedError
 

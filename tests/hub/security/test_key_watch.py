@@ -12,7 +12,8 @@ from bridge.config.model import Config
 from bridge.hub.security import external_access
 from bridge.hub.security.certificates import Authority
 from bridge.hub.security.external_access import ExternalAccess
-from bridge.hub.security.key_files import KeyFiles, KeyWatch
+from bridge.hub.security.key_files import KeyFiles
+from bridge.hub.security.key_watch import KeyWatch
 
 
 class UnreadableKey(KeyFiles):
