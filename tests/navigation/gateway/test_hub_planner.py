@@ -35,6 +35,9 @@ def nav2(running: Rig) -> Iterator[RmwActionServer]:
         if running.gateway.link.reachable:  # without a planner, the stop would end the first goals of the next one
             running.ask("stop")
         until(lambda: not running.gateway.driving, "nothing drives")
+    # otherwise the next test's goals would be sent to this node
+    servers = running.client.node.hub.graph.servers
+    until(lambda: not servers(PARTS.send_goal) and not running.gateway.link.reachable, "the planner has left")
 
 
 @pytest.fixture

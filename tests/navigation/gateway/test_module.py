@@ -229,6 +229,7 @@ def test_a_rejection_ends_the_goal_if_the_planner_has_been_reachable_for_a_while
 
 def test_a_planner_that_continues_behind_a_cut_link_is_stopped_when_the_link_is_back(rig: Rig) -> None:
     rig.planners.pop("robot_goto").close()
+    until(lambda: not rig.gateway.link.reachable, "the first planner has left", 20)
     with FaultProxy(rig.hubs.port) as link:
         far = {"router": f"tcp/127.0.0.1:{link.port}", "zenoh": {"mode": "client"}, "shared_memory": False}
         planner = rig.have("robot_goto", rig.hubs.settings("robot_goto", **far))
@@ -346,6 +347,7 @@ def test_another_planner_waits_for_the_release_of_a_goal(rig: Rig, monkeypatch: 
     for releases in (True, False):
         client_goal = ClientGoal(rig.client, pose(1.0))
         goal = rig.planner.until(1 if releases else 2)
+        until(lambda: rig.gateway.link.goals, "the gateway has the list with the goal", 20)
         client_goal.cancel()
         assert "robot_goto has not released its goal" in client_goal.end()[1]
         rig.worker.reload(rig.configured(planner="mine"))

@@ -24,7 +24,7 @@ from navigation.gateway.module import GatewayModule
 from navigation.gateway.velocities import YarpVelocity
 from navigation.status import Fault, State
 from tests.peers.hub.node import REGISTRY
-from tests.peers.navigation.gateway import LATCHED, ClientGoal, Planner, Rig, pose
+from tests.peers.navigation.gateway import LATCHED, ClientGoal, Planner, Rig, patient, pose
 from tests.peers.navigation.odometry import Odometry
 from tests.support.faults import FaultProxy
 from tests.support.wait import until
@@ -32,6 +32,7 @@ from yarp_compat.dev.client import ServiceClient
 from yarp_compat.dev.inavigation2d import INavigation2DMsgs, NavigationStatusEnum
 
 PLANNER = "move_base"
+ACTION = f"/planner/{PLANNER}/navigate_to_pose"
 
 
 @pytest.fixture(scope="module")
@@ -79,9 +80,17 @@ class FarPlanner:
     """A planner behind a link that can be cut; to the gateway, a cut looks as if the side's worker was killed."""
 
     def __init__(self, rig: Rig, link: FaultProxy) -> None:
-        rig.planners.pop(PLANNER).close()
+        close_planner(rig)
         self.planner: Planner = rig.have(PLANNER, behind(rig, link))
         rig.planner = self.planner
+
+
+def close_planner(rig: Rig) -> None:
+    """Close the planner, and wait until nobody sends a goal to it instead of the next one."""
+    rig.planners.pop(PLANNER).close()
+    servers = rig.client.node.hub.graph.servers
+    until(lambda: not servers(names(ACTION).send_goal), "the client sees that the planner has left", 20)
+    until(lambda: not rig.gateway.link.reachable, "the gateway sees that the planner has left", 20)
 
 
 def behind(rig: Rig, link: FaultProxy) -> Any:
@@ -120,8 +129,8 @@ def test_a_stop_without_the_planner_is_unconfirmed_until_it_is_back(rig: Rig, mo
         assert not answer["success"]
         assert "the robot may still be moving: the planner move_base is not available" in answer["message"]
         assert rig.state(State.MOVING, "the robot may still be moving")["error_code"] == Fault.MAY_MOVE
-        assert holds[-1] == {"data": True}
-        assert velocities
+        until(lambda: holds[-1] == {"data": True}, "the planner's velocities are held", 20)
+        until(lambda: velocities, "zero is published", 20)
         assert not any(v["linear"]["x"] or v["angular"]["z"] for v in velocities)
         assert rig.gateway.drive.goal.status is GoalState.CANCELING
         assert not client_goal.ended
@@ -153,7 +162,8 @@ def test_a_yarp_client_gets_no_success_for_an_unconfirmed_stop(rig: Rig, odometr
         rig.state(State.IDLE, "has not answered, and the base stands")
         last = [entry for entry in rig.statuses if entry["error_code"] == Fault.MAY_MOVE][-1]
         assert "the base stands" not in last["reason"], "odometry from before the goal's end does not count"
-        assert client.stop_navigation_RPC()
+        with patient():  # odometry may be late
+            assert client.stop_navigation_RPC()
         idle = NavigationStatusEnum.navigation_status_idle  # but not while odometry is late
         until(lambda: client.get_navigation_status_RPC()[1] is idle, "the status is idle", 20)
         rig.state(State.IDLE)  # the status topic shows it, too
@@ -283,7 +293,7 @@ def test_a_robot_that_drove_may_still_be_moving_also_after_the_goal_was_sent_aga
 
 
 def test_a_planner_that_disappears_before_its_answer_may_have_accepted_the_goal(rig: Rig) -> None:
-    rig.planners.pop(PLANNER).close()
+    close_planner(rig)
     with FaultProxy(rig.hubs.port) as link:
         slow = SlowPlanner(behind(rig, link), PLANNER)
         rig.planners[PLANNER] = rig.planner = slow
@@ -333,7 +343,8 @@ def test_a_restart_of_the_gateway_does_not_let_a_stopped_yarp_client_drive(
 ) -> None:
     drive = YarpVelocity(0.1)
     with ServiceClient(INavigation2DMsgs, "/navigationServer/rpc", naming=rig.names, timeout=20) as client:
-        assert client.remote.apply_velocity_command_RPC(*drive, 0.2)
+        # a velocity that waits for long is refused
+        until(lambda: client.remote.apply_velocity_command_RPC(*drive, 0.2), "the client drives", 20)
         loop, halt = rig.module._host.loop, rig.module._commander.stop_client
         loop.call(lambda: (rig.module._commander.note(drive, 1.0), halt()))
     refusals: list[str] = []
