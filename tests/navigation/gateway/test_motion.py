@@ -121,10 +121,11 @@ def test_other_threads_read_while_it_polls() -> None:
     assert not failed
 
 
-def test_a_step_of_the_odometrys_clock_is_not_time_that_passed() -> None:
+def test_a_step_of_the_odometrys_clock_is_not_time_that_passed(monkeypatch: pytest.MonkeyPatch) -> None:
     """NTP sets the clock forward while the robot drives slowly: odometry's stamps jump, and the pose hardly changes."""
     odometry = Odometry()
     motion = Motion(cast("Any", odometry), odometry.now_ns)
+    monkeypatch.setattr(motion_module, "time", SimpleNamespace(monotonic=lambda: 100.0))
     for _ in range(3):
         odometry.x, odometry.stamp = odometry.x + 0.0004, odometry.stamp + 5 * TENTH
         motion.poll()
