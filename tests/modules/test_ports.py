@@ -159,6 +159,6 @@ def test_each_reader_gets_the_form_of_its_release(config: Config, caplog: pytest
     assert peers.keys() == {"/older/data:i", "/client/data:i"}, "a plain reader interprets the values itself"
     assert "port: /client/data:i, release: '3.9'" in peers["/client/data:i"]["generation_cure"]
     assert "generation_cure" not in peers["/older/data:i"]
-    lines = [record.getMessage() for record in caplog.records if "release" in record.getMessage()]
+    lines = [text for text in caplog.messages if "release" in text and "/battery/data:o" in text]
     assert len(lines) == 1
     assert "/battery/data:o: the YARP release of its reader /client/data:i is unknown" in lines[0]
