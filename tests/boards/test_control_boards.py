@@ -95,6 +95,10 @@ def test_joints_moving_at_a_connection_loss_are_stopped_on_reconnect(robot: Robo
         robot.command(name=["joint0"], velocity=[1.0])
         return robot.speeds[0] != 0.0
 
+    module: Any = robot.worker.running("control_boards").module
+    (link,) = module._links
+    # the velocity must not expire before the loss, even if this test stands still meanwhile
+    link._section = link._section.model_copy(update={"timeout": 5.0})
     until(repeat_command, "the joint moves", every=0.05)
     closing = threading.Thread(target=robot.server.close)
     closing.start()
