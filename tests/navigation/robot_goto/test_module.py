@@ -314,7 +314,8 @@ def seen(*heights: float) -> dict[str, Any]:
 
 def test_the_robot_waits_for_clouds_and_layers_on_the_hub(tmp_path: Path) -> None:
     sources = [{"topic": "/points", "type": "cloud", "timeout": 1.5}, {"topic": "/layer", "timeout": 0.5}]
-    with Goto(tmp_path, obstacles=sources, floor=-0.2, enable_obstacles_avoidance=False) as place:
+    waits: dict[str, Any] = {"enable_obstacles_avoidance": False, "max_waiting_time": 300.0}  # longer than the test
+    with Goto(tmp_path, obstacles=sources, floor=-0.2, **waits) as place:
         robot, driver = place.robot, place.module.driver
         layer = place.far.advertise("/layer", "nav_msgs/OccupancyGrid", latched=True)
         sent = robot.send(-2.0, 0.0)
