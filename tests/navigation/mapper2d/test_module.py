@@ -124,7 +124,8 @@ def test_a_map_is_made_painted_and_saved(place: Place) -> None:
     column, row = grid.cells_at((middle[0], middle[1] - RADIUS))
     assert (grid.flags[row - 1 : row + 2, column] == MapFlag.WALL).any()
     assert (grid.flags[80, 70], grid.flags[20, 60], grid.flags[20, 100]) == (MapFlag.KEEP_OUT,) * 3
-    assert "outside the map's picture" in str(place.answer("mapper2d"))
+    outside = lambda: "outside the map's picture" in str(place.answer("mapper2d"))  # noqa: E731
+    until(outside, "the click outside the map is reported", 20)
 
 
 def test_a_click_is_painted_and_due_for_publication_in_one_step(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -328,10 +329,15 @@ def test_a_scan_from_before_a_clock_jump_is_not_used(untouched: Place, monkeypat
         return [status["scans"], status["dropped"]]
 
     def set_back() -> None:
+        jumps: list[None] = []
+        withdraw = SYSTEM_CLOCK.on_jump(lambda: jumps.append(None))  # notified after the module
         with monkeypatch.context() as system:
             system.setattr(SYSTEM_CLOCK, "_wall", lambda: time.time_ns() - 10 * S)
-            assert SYSTEM_CLOCK.check() < 0
+            SYSTEM_CLOCK.check()  # the clock's own thread may be checking, too
+            until(lambda: jumps, "the clock was set back")
         SYSTEM_CLOCK.check()
+        until(lambda: len(jumps) > 1, "the clock has its own time again")
+        withdraw()
         host.loop.call(lambda: None)
 
     with Writer(naming=place.names) as writer:
