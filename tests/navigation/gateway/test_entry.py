@@ -18,6 +18,7 @@ from bridge.config.sections.navigation import ACTION
 from bridge.doctor.check import Result
 from bridge.doctor.checks.daemon import check_workers
 from bridge.messages.actions import GoalState, names
+from bridge.modules.action_server import Goal
 from bridge.modules.worker import ModulesWorker
 from bridge.status import read_status
 from navigation.gateway.entry import STOP_SERVICE, NavigateAction
@@ -96,12 +97,14 @@ def test_the_gateway_withdraws_all_parts_while_another_node_serves_the_name(rig:
 
 
 def test_a_node_that_was_there_before_the_gateway_keeps_the_name(rig: Rig) -> None:
-    graph, zid = rig.client.node.hub.graph, rig.worker.running("gateway").host.node.hub.zid
+    graph, hub = rig.client.node.hub.graph, rig.worker.running("gateway").host.node.hub
+    zid = hub.zid
     rig.worker.running("gateway").stop()
     until(lambda: not parts_of(rig, zid), "the gateway has left the hub")
     other, seen = nav2(rig), set[str]()
     try:
         until(lambda: graph.servers(PARTS.send_goal), "the node's action is on the hub")
+        until(lambda: hub.graph.servers(PARTS.send_goal), "the gateway's worker sees it")
         unwatch = graph.watch(lambda: seen.update(parts_of(rig, zid)))
         rig.worker.running("gateway").start()
         until(lambda: rig.module.status().served_by == NODE, "the gateway finds the node")
@@ -117,9 +120,16 @@ def test_a_node_that_was_there_before_the_gateway_keeps_the_name(rig: Rig) -> No
     until(lambda: parts(rig) == set(PARTS), "the gateway serves the name once the node has left")
 
 
-def test_an_active_goal_of_the_gateway_continues_to_its_end(rig: Rig) -> None:
+def drive(rig: Rig) -> tuple[ClientGoal, Goal]:
+    """Send a goal; return it once the client has requested its result of the only server that has the action."""
     client_goal = ClientGoal(rig.client, pose(1.0))
     goal = rig.planner.until(1)
+    until(lambda: client_goal.sent.accepted, "the client knows that its goal is accepted")
+    return client_goal, goal
+
+
+def test_an_active_goal_of_the_gateway_continues_to_its_end(rig: Rig) -> None:
+    client_goal, goal = drive(rig)
     with contextlib.closing(nav2(rig)):
         until(lambda: PARTS.send_goal not in parts(rig), "the gateway no longer accepts goals")
         assert parts(rig) == set(PARTS) - {PARTS.send_goal}, "the gateway's client still needs the other parts"
@@ -132,8 +142,7 @@ def test_an_active_goal_of_the_gateway_continues_to_its_end(rig: Rig) -> None:
 
 
 def test_an_active_goal_of_the_gateway_can_be_canceled(rig: Rig) -> None:
-    client_goal = ClientGoal(rig.client, pose(1.0))
-    goal = rig.planner.until(1)
+    client_goal, goal = drive(rig)
     with contextlib.closing(nav2(rig)):
         until(lambda: PARTS.send_goal not in parts(rig), "the gateway no longer accepts goals")
         client_goal.cancel()
@@ -144,9 +153,7 @@ def test_an_active_goal_of_the_gateway_can_be_canceled(rig: Rig) -> None:
 
 def test_goals_at_both_servers_have_their_own_results(rig: Rig) -> None:
     """While the gateway finishes its goal, two servers have parts of one action."""
-    held = ClientGoal(rig.client, pose(1.0))
-    goal = rig.planner.until(1)
-    until(lambda: held.sent.accepted, "the client has requested the result of the only server that has the action")
+    held, goal = drive(rig)
     with contextlib.closing(nav2(rig)) as other:
         until(lambda: PARTS.send_goal not in parts(rig), "the gateway no longer accepts goals")
         for number, status in enumerate((GoalState.SUCCEEDED, GoalState.CANCELED), 1):
@@ -165,8 +172,7 @@ def test_goals_at_both_servers_have_their_own_results(rig: Rig) -> None:
 
 def test_an_active_goal_of_the_gateway_outlives_a_node_that_leaves_soon(rig: Rig) -> None:
     """The node leaves before the goal has ended; the gateway keeps serving the goal until it ends."""
-    client_goal = ClientGoal(rig.client, pose(1.0))
-    goal = rig.planner.until(1)
+    client_goal, goal = drive(rig)
     other = nav2(rig)
     until(lambda: PARTS.send_goal not in parts(rig), "the gateway no longer accepts goals")
     other.close()
@@ -194,8 +200,8 @@ def test_other_entry_points_continue(rig: Rig) -> None:
 
 @pytest.mark.usefixtures("other")
 def test_status_and_doctor_name_the_node_that_serves_the_action(rig: Rig) -> None:
+    until(lambda: rig.module.health().state == "running", "the stop of an earlier test is confirmed")
     health = rig.module.health()
-    assert health.state == "running"
     assert f"{ACTION} is served by {NODE}" in health.text
     warning = f"{ACTION} is served by {NODE}: its clients on the hub and on ROS 2 reach that node directly"
     document = rig.answer("gateway")
