@@ -15,6 +15,7 @@ from bridge.hub.errors import HubError
 from bridge.hub.wire.keys import pack_attachment, topic_key
 from bridge.messages.actions import STATUSES, GoalState, names
 from bridge.messages.values import MessageWriter
+from bridge.modules import background
 from bridge.modules.action_server import Goal
 from bridge.modules.host import Host
 from navigation.gateway import execution, goal_list, stop
@@ -341,6 +342,7 @@ def test_a_stop_right_after_a_start_waits_for_the_planners_goal_list(
 def test_a_restart_of_the_gateway_does_not_let_a_stopped_yarp_client_drive(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(background, "_END_SECONDS", 60.0)  # the file that outlasts the restart is written there
     drive = YarpVelocity(0.1)
     with ServiceClient(INavigation2DMsgs, "/navigationServer/rpc", naming=rig.names, timeout=20) as client:
         # a velocity that waits for long is refused

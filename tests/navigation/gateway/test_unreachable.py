@@ -265,6 +265,7 @@ def test_a_gateway_that_is_stopped_with_a_moving_base_ends_its_goal_as_aborted(
     robot: Scene, stopping: threading.Thread, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(modules_worker, "WIND_DOWN_SECONDS", 0.2)
+    monkeypatch.setattr(modules_worker, "STOP_SECONDS", 60.0)  # the module's thread may begin late to stop it
     client_goal = robot.drive()
     robot.planner.cancels = False
     stopping.start()

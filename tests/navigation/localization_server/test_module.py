@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bridge.modules import worker as modules_worker
 from navigation.localization_server.estimate import POSE_COVARIANCE
 from navigation.maps.grid import same_walls, to_grid, yaw_of
 from navigation.messages import pose_message, stamp_ns
@@ -44,7 +45,8 @@ def test_a_start_pose_whose_quaternion_is_not_a_rotation_is_ignored(
     until(lambda: reports(place, OK)() or publish_start(), "the next start is accepted", 20, every=0.5)
 
 
-def test_our_localizer_serves_all_sides(place: Place, robot: Robot) -> None:
+def test_our_localizer_serves_all_sides(place: Place, robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(modules_worker, "STOP_SECONDS", 60.0)  # the module's thread may begin late to stop it
     poses = place.far.subscribe("/localization/pose", "geometry_msgs/PoseWithCovarianceStamped")
     statuses = place.far.subscribe("/localization/status", "std_msgs/String", latched=True)
     clouds = place.far.subscribe("/localization/particles", "geometry_msgs/PoseArray", latched=True)
@@ -119,7 +121,8 @@ def test_a_carried_robot_is_reported_as_lost_at_any_pose_period(place: Place, ro
     until(lambda: place.far.wait(statuses, 1)[-1] == {"data": OK}, "the robot is located again")
 
 
-def test_localization_continues_at_the_last_pose(place: Place, robot: Robot) -> None:
+def test_localization_continues_at_the_last_pose(place: Place, robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(modules_worker, "STOP_SECONDS", 60.0)  # the module's thread may begin late to stop it
     true = robot.pose
     wrong = {"initial_pose": [3.0, 3.0, 0.0]}
     started(place, robot, initial_pose=[*true[:2], math.degrees(true.theta)])

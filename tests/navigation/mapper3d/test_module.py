@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bridge.modules import worker as modules_worker
 from bridge.stores.kinds import MAP, MAP3D
 from navigation.clouds import MOST_POINTS, read_points
 from navigation.mapper3d.octomaps import cloud_message
@@ -260,6 +261,7 @@ def test_services_and_rpc_commands_report_their_errors(place: Place) -> None:
 
 
 def test_the_map_survives_a_restart(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(modules_worker, "STOP_SECONDS", 60.0)  # the module's thread may begin late to stop it
     with Place(tmp_path_factory.mktemp("kept")) as place:
         config = place.config(modules={"mapper3d": settings()})
         place.worker.start(config)
@@ -289,8 +291,9 @@ def test_the_map_survives_a_restart(tmp_path_factory: pytest.TempPathFactory, mo
 
 
 def test_a_map_that_is_reset_is_published_and_stays_empty_after_a_restart(
-    tmp_path_factory: pytest.TempPathFactory,
+    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(modules_worker, "STOP_SECONDS", 60.0)  # the module's thread may begin late to stop it
     with Place(tmp_path_factory.mktemp("reset")) as place:
         place.worker.start(place.config(modules={"mapper3d": settings()}))
         robot = Robot(place)
