@@ -31,6 +31,9 @@ from yarp_compat.naming import connections
 from yarp_compat.pythonic import Client, Reader, Writer
 from yarp_compat.sig.vector import Vector
 
+SLOW = Constraints(max_lin_speed=0.1).to_text()
+"""The robot does not reach its goal before the test has stopped it."""
+
 
 def test_a_hub_goal_is_reached_and_commands_end(place: Goto) -> None:
     states = place.far.subscribe(f"{PLANNER}/status", STATUS, latched=True)
@@ -63,9 +66,9 @@ def test_a_base_with_stamped_velocities_is_driven_and_stopped(place: Goto) -> No
 
 
 def test_a_new_goal_preempts_the_first_and_a_canceled_goal_stops_the_robot(place: Goto) -> None:
-    first = place.robot.send(2.0, 0.0)
+    first = place.robot.send(2.0, 0.0, 0.0, SLOW)
     until(lambda: place.robot.x > 0.1, "the robot drives", 30)
-    second = place.robot.send(-2.0, 0.0)
+    second = place.robot.send(-2.0, 0.0, 0.0, SLOW)
     assert first.end() == (GoalState.CANCELED, {"error_code": Fault.OTHER, "error_msg": "another goal replaced it"})
     until(lambda: place.robot.commands[-1][0] != 0.0 or place.robot.commands[-1][2] != 0.0, "the robot drives on", 30)
     second.cancel()
@@ -75,7 +78,7 @@ def test_a_new_goal_preempts_the_first_and_a_canceled_goal_stops_the_robot(place
 
 def test_a_goal_is_aborted_when_no_client_can_cancel_it(place: Goto) -> None:
     robot = place.robot
-    robot.send(2.0, 0.0, 0.0, Constraints(max_lin_speed=0.1).to_text())
+    robot.send(2.0, 0.0, 0.0, SLOW)
     until(lambda: robot.x > 0.1, "the robot drives", 30)
     robot.loop.call(robot.client.close)
     try:
@@ -191,6 +194,8 @@ def test_clients_of_the_action_see_and_cancel_what_yarp_clients_request(place: G
         until(lambda: states() == [GoalState.CANCELED], "the list shows the end", 20)
 
     until(lambda: robot.client.ready, "the planner is available", 30)
+    slowly = place.module.driver.settings.model_copy(update={"max_lin_speed": 0.2})
+    place.host.loop.call(lambda: setattr(place.module.driver, "settings", slowly))
     with ServiceClient(INavigation2DMsgs, rpc, naming=place.names) as client:
         assert client.remote.goto_target_by_absolute_location_RPC(Map2DLocation("", 2.0, 0.0, math.nan))
         cancel_all()
@@ -281,7 +286,7 @@ def test_robot_gotos_own_commands_work_as_text_and_as_a_service(place: Goto) -> 
 
 def test_a_step_that_fails_stops_the_robot_and_ends_the_goal(place: Goto, monkeypatch: pytest.MonkeyPatch) -> None:
     robot, driver = place.robot, place.module.driver
-    sent = robot.send(2.0, 0.0)
+    sent = robot.send(2.0, 0.0, 0.0, SLOW)
     until(lambda: robot.commands and robot.commands[-1][0] > 0.0, "the robot drives", 20)
 
     def step(*_: Any) -> None:
@@ -297,7 +302,7 @@ def test_a_step_that_fails_stops_the_robot_and_ends_the_goal(place: Goto, monkey
 
 
 def test_halt_ends_every_goal(place: Goto) -> None:
-    sent = place.robot.send(2.0, 0.0)
+    sent = place.robot.send(2.0, 0.0, 0.0, SLOW)
     until(lambda: place.robot.x > 0.05, "the robot drives", 30)
     assert place.far.hub.ask("halt", {}, worker="robot_goto", timeout=20.0)[0].value == {"halted": True}
     assert sent.end()[1]["error_msg"] == "halted"

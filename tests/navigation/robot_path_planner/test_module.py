@@ -175,11 +175,13 @@ def test_clients_of_the_action_can_cancel_the_goal_of_a_yarp_client(place: Plann
 
 
 def test_a_new_goal_preempts_the_first_and_a_canceled_goal_stops_the_robot(place: Planning) -> None:
+    place.robot.speed = 0.3
     first = place.robot.send(4.0, 1.0)
     until(lambda: place.robot.asked, "the robot drives", 30)
     second = place.robot.send(1.0, 4.0)
     status, result = first.end()
     assert (status, result["error_msg"]) == (GoalState.CANCELED, "another goal replaced it")
+    place.robot.speed = 3.0
     assert second.end()[0] is GoalState.SUCCEEDED
     place.robot.speed = 0.3
     third = place.robot.send(4.0, 4.0)
