@@ -82,10 +82,11 @@ class Client(HubNode):
         sent_goal = SentGoal()
 
         def ended(sent: Any, result: Mapping[str, Any] | None, reason: str) -> None:
-            sent_goal.ended = time.monotonic()
+            ended_at = time.monotonic()
             sent_goal.reason = str((result or {}).get("error_msg", "")) or reason
             sent_goal.code = int((result or {}).get("error_code", 0))
             sent_goal.status = sent.status
+            sent_goal.ended = ended_at  # last, because tests wait for it on another thread
 
         def send() -> None:
             goal = {"pose": pose(x, y, math.radians(degrees))}
@@ -239,7 +240,7 @@ class Chain(MidspanDaemon):
 
     def kill(self, worker: str) -> int:
         """Kill a worker's process, and return its process id."""
-        pid = int(self.status(worker)["pid"])
+        pid = int(until(lambda: self.status(worker).get("pid"), f"{worker} reports its process id"))
         os.kill(pid, signal.SIGKILL)
         return pid
 
