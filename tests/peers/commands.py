@@ -44,12 +44,13 @@ class Record:
             return [self._plain(item) for item in self.items[since:]]
 
     def silence(self, since: float) -> dict[str, float]:
-        """Return the time of the last arrival, and the longest time without an arrival from ``since`` on."""
+        """Return the time of the last arrival, and the longest time without one from ``since`` on and its begin."""
         with self._changed:
             times = list(self._times)
         later = [since, *(at for at in times if at >= since)]
-        silence = max((after - before for before, after in itertools.pairwise(later)), default=0.0)
-        return {"last": times[-1] if times else 0.0, "silence": silence}
+        pauses = ((after - before, before) for before, after in itertools.pairwise(later))
+        silence, begun = max(pauses, default=(0.0, since))
+        return {"last": times[-1] if times else 0.0, "silence": silence, "begun": begun}
 
 
 class Calling:
