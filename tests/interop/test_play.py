@@ -106,8 +106,14 @@ def test_each_side_and_the_mapper_receive_a_ros_1_bag_on_its_time(site: Deployme
 def test_requested_velocities_reach_each_side_and_end_with_zero(site: Deployment, bag: Path) -> None:
     rviz, rospy = site.ros2(), site.ros1()
     ends = [(peer, peer.subscribe("/cmd_vel", TWIST)) for peer in (rviz, rospy)]
-    with play(site, bag, "--commands", "--topics", "/cmd_vel", "--duration", "3") as player:
-        for peer, end in ends:  # the first velocities may precede the routes
+    with play(site, bag, "--commands", "--paused", "--topics", "/cmd_vel", "--duration", "3") as player:
+        # the play lasts for 3 s, so all routes must exist before it begins
+        until(lambda: rospy.ask("connections", id=ends[1][1])["count"], "rospy is connected to the publisher", 30)
+        until(lambda: rviz.graph()["publishers"].get("/cmd_vel"), "rclpy has discovered the publisher", 30)
+        rospy.ask("await_service", service=PAUSE, seconds=30)
+        call = rospy.ask("call", service=PAUSE, type="std_srvs/SetBool", request={"data": False})["id"]
+        assert rospy.ask("result", id=call, seconds=20)["reply"]["success"]
+        for peer, end in ends:
             until(lambda peer=peer, end=end: zero(peer.wait(end, 1)), "zero is received", 30)  # type: ignore[misc]
             speeds = [item["linear"]["x"] for item in peer.wait(end, 1)]
             assert (set(speeds), speeds[-1]) == ({0.25, 0.0}, 0.0)  # zero is repeated
