@@ -7,18 +7,20 @@ from typing import Any
 import pytest
 
 from bridge.demo import rooms
+from tests.support.clock import Clock
 
 
 class Course:
     """A robot whose poses arrive one by one, given as distances to a room."""
 
-    def __init__(self, *distances: float) -> None:
-        self._distances = list(distances)
+    def __init__(self, clock: Clock, *distances: float) -> None:
+        self._clock, self._distances = clock, list(distances)
 
     def distance_to(self, _room: str) -> float:
         return self._distances[0]
 
     def wait(self) -> None:
+        self._clock.now += 0.1
         if len(self._distances) > 1:
             self._distances.pop(0)
 
@@ -31,7 +33,8 @@ class Course:
 def test_a_drive_is_judged_by_its_last_pose(
     distances: tuple[float, ...], last: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rooms, "_STANDING_SECONDS", 0.1)
-    course: Any = Course(*distances)
+    clock = Clock()
+    monkeypatch.setattr(rooms, "time", clock)
+    course: Any = Course(clock, *distances)
     rooms.wait_for_poses(course, "kitchen", course.wait)
     assert course.distance_to("kitchen") == last
