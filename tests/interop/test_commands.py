@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -11,6 +13,7 @@ from tests.peers.daemon.deployment import Deployment
 from tests.support.wait import until
 
 CMD_VEL, TWIST = "/cmd_vel", "geometry_msgs/Twist"
+PROBE = 0.125
 RULE = {"topic": CMD_VEL, "qos": {"durability": "transient_local"}}
 
 
@@ -26,12 +29,20 @@ def test_a_late_program_receives_no_old_command(deployment: Deployment, sender: 
     programs: dict[str, Callable[[], Any]] = {"ros1": deployment.ros1, "ros2": deployment.ros2}
 
     def drives(base: Any, subscription: int, speed: float) -> Callable[[], bool]:
-        """Return a function that publishes a program's velocity and returns whether a base has received it."""
-        program = programs[sender]()
+        """Return a function that publishes a program's velocity and returns whether a base has received it.
+
+        Once probes arrive, it publishes the velocity so seldom that no other one is on its way when the base has it.
+        """
+        program, again = programs[sender](), -math.inf
         out = program.advertise(CMD_VEL, TWIST, latched=True, depth=1)
 
         def driven() -> bool:
-            program.publish(out, {"linear": {"x": speed}})
+            nonlocal again
+            if PROBE not in speeds(base, subscription, 0.1):
+                program.publish(out, {"linear": {"x": PROBE}})
+            elif time.monotonic() > again:
+                again = time.monotonic() + 5.0
+                program.publish(out, {"linear": {"x": speed}})
             return speed in speeds(base, subscription, 0.1)
 
         return driven
