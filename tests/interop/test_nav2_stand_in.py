@@ -30,7 +30,7 @@ class Direct:
     """A client of all of Nav2's actions, and the robot's base."""
 
     def __init__(self, **options: Any) -> None:
-        self.base = Base.ros2()
+        self.base = Base.ros2("--watchdog", "30")  # stands only if the velocity is zero, not if a program stalls
         self.nav2 = Nav2(2.0, 0.3, **options)
         self.peer = Peer(ROS2_PEER, ros2_python(), ros2_environment(), "direct")
         until(self.nav2.ready, "Nav2 is up", SECONDS)
@@ -146,7 +146,7 @@ def test_assisted_teleop_drives_until_it_is_canceled(direct: Direct) -> None:
 
 
 def test_the_tree_reports_the_end_before_a_braking_controller_stands() -> None:
-    direct = Direct(controller=("--braking", "1.0"))
+    direct = Direct(controller=("--braking", "4.0"))  # much longer than the client may take to notice the end
     goal = direct.goto(FAR)
     direct.moves()
     direct.cancel(goal)
@@ -160,7 +160,7 @@ def test_the_tree_reports_the_end_before_a_braking_controller_stands() -> None:
 
 @pytest.mark.parametrize(
     ("navigator", "controller", "code"),
-    [((), ("--tf-tolerance", "0.5"), 102), (("--tf-tolerance", "0.5"), ("--tf-tolerance", "inf"), 202)],
+    [((), ("--tf-tolerance", "2.0"), 102), (("--tf-tolerance", "2.0"), ("--tf-tolerance", "inf"), 202)],
 )
 def test_missing_transforms_abort_the_goal(navigator: tuple[str, ...], controller: tuple[str, ...], code: int) -> None:
     direct = Direct(navigator=navigator, controller=controller)

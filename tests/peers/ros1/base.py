@@ -2,7 +2,7 @@
 
 Like a real base's driver, it brakes after half a second without a velocity, and it publishes odometry even if the
 planner fails. It also publishes ``map`` to ``odom``, in place of a localizer. Runs on the system's Python.
-Usage: base.py [--ramp M/S2] [--no-odometry]
+Usage: base.py [--ramp M/S2] [--watchdog S] [--no-odometry]
 """
 
 import math
@@ -29,7 +29,7 @@ def transform(parent, child, x, y, yaw):
 def main():
     options = arguments()
     rospy.init_node("base")
-    body = Body(options.ramp)
+    body = Body(options.ramp, options.watchdog)
     frames = rospy.Publisher("tf", TFMessage, queue_size=10)
     rospy.Subscriber(
         "cmd_vel",

@@ -1,6 +1,6 @@
 """A robot's base on ROS 2, which follows ``/cmd_vel`` and publishes ``/tf``, like the base on ROS 1.
 
-Usage: base.py [--ramp M/S2] [--no-odometry]
+Usage: base.py [--ramp M/S2] [--watchdog S] [--no-odometry]
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Base(Node):
     def __init__(self) -> None:
         super().__init__("base")
         options = arguments()
-        self.body, self.odometry = Body(options.ramp), options.odometry
+        self.body, self.odometry = Body(options.ramp, options.watchdog), options.odometry
         self.frames = self.create_publisher(TFMessage, "tf", 10)
         self.create_subscription(Twist, "cmd_vel", self.on_velocity, 1)
         self.create_timer(PERIOD, self.step)

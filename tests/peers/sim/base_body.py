@@ -12,7 +12,7 @@ import time
 
 PERIOD = 0.05
 WATCHDOG = 0.5
-"""Seconds without a command after which the base brakes, like the driver of a real base."""
+"""Default seconds without a command after which the base brakes, like the driver of a real base."""
 TURN_RAMP = 4.0
 """Angular acceleration, in rad/s², of a base with a ramp of 1 m/s²."""
 
@@ -22,12 +22,13 @@ class Body:
 
     Args:
         ramp: acceleration in m/s²; if infinite, each command applies at once.
+        watchdog: seconds without a command after which the base brakes.
     """
 
-    def __init__(self, ramp):
+    def __init__(self, ramp, watchdog):
         self.x = self.y = self.yaw = 0.0
         self.wanted = self.velocity = (0.0, 0.0, 0.0)
-        self.ramp, self.commanded, self.moves = ramp, 0.0, False
+        self.ramp, self.watchdog, self.commanded, self.moves = ramp, watchdog, 0.0, False
         self.lock = threading.Lock()
 
     def command(self, x, y, turn):
@@ -41,7 +42,7 @@ class Body:
     def step(self):
         """Advance by a period, and return x, y and yaw."""
         with self.lock:
-            if time.monotonic() > self.commanded + WATCHDOG:
+            if time.monotonic() > self.commanded + self.watchdog:
                 self.wanted = (0.0, 0.0, 0.0)
             steps = (self.ramp * PERIOD, self.ramp * PERIOD, self.ramp * TURN_RAMP * PERIOD)
             self.velocity = tuple(
@@ -69,8 +70,9 @@ class Body:
 
 
 def arguments():
-    """Return the options of both programs: ``ramp``, and ``odometry``."""
+    """Return the options of both programs: ``ramp``, ``watchdog`` and ``odometry``."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--ramp", type=float, default=math.inf)
+    parser.add_argument("--watchdog", type=float, default=WATCHDOG)
     parser.add_argument("--no-odometry", dest="odometry", action="store_false")
     return parser.parse_known_args()[0]
