@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import tempfile
 from collections.abc import Iterator
@@ -74,8 +75,12 @@ def test_both_ends_report_a_foreign_authority(short: Path, run: list[str]) -> No
             Authority(short / fleet).issue(name, ["127.0.0.1"])
     place = f"tls/127.0.0.1:{free_port()}"
     robot = Daemon(short, "robot1", short / "a", run, listen=[place])
-    operator = Daemon(short, "operator1", short / "b", run, connect=[place])
-    with robot.process, operator.process:
+    with contextlib.ExitStack() as running:
+        running.enter_context(robot.process)
+        # a router that starts before the other one listens may log that nothing answers
+        until(lambda: robot.endpoint().get("state") == "listening", "the robot listens", every=0.2)
+        operator = Daemon(short, "operator1", short / "b", run, connect=[place])
+        running.enter_context(operator.process)
         until(
             lambda: operator.lines(f"hub.open.connect {place}: refused: the other machine's certificate"),
             "the operator logs the refusal",
