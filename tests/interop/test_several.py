@@ -29,8 +29,12 @@ def several(tmp_path: Path) -> Iterator[Several]:
 
 
 def active(daemons: list[Daemon], side: str) -> list[str]:
-    """Return the daemons that are active on a side."""
-    return [d.name for d in daemons if d.process is not None and d.status(side).get("state") == "running"]
+    """Return the daemons that are active on a side, once any is; a busy worker may not report its status in time."""
+
+    def running() -> list[str]:
+        return [d.name for d in daemons if d.process is not None and d.status(side).get("state") == "running"]
+
+    return until(running, f"a daemon is active on {side}")
 
 
 @pytest.mark.parametrize(("joined", "node"), [(True, "midspan"), (False, "other_name")], ids=["joined", "apart"])
@@ -58,7 +62,7 @@ def test_nothing_arrives_twice_in_a_ring_and_either_daemon_takes_over(
     for side in ("ros1", "ros2"):
         (name,) = active(daemons, side)
         (other,) = (d for d in daemons if d.name != name)
-        assert other.status(side)["standby"] == name
+        until(lambda: other.status(side).get("standby") == name, f"{other.name} stands by")  # noqa: B023
         text = other.explain(side, "/from_0")
         assert not joined or any(line["decision"] == "standby" and name in line["reason"] for line in text), text
     state = several.program(networks[0])

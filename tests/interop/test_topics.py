@@ -169,17 +169,17 @@ def test_explain_lists_the_connections_of_ros1(shared: Deployment) -> None:
         subscription = receiver.subscribe(topic, STRING)
         cross(sender, sender.advertise(topic, STRING), receiver, subscription, {"data": "x" * 100})
 
-        def connections(topic: str = topic) -> list[dict[str, Any]]:
+        def counted(topic: str = topic) -> list[dict[str, Any]]:
+            """Return the connections, once all are counted: bytes are counted shortly before their message."""
             listed: list[dict[str, Any]] = json.loads(shared.command("explain", topic, "--json").stdout)["connections"]
-            return listed
+            return listed if all(one["bytes"] == one["messages"] * 108 > 0 for one in listed) else []
 
-        (connection,) = until(connections, "explain lists the connection")
+        (connection,) = until(counted, "explain lists the connection")
         kind = "publishers" if direction == "in" else "subscribers"
         names = [name for name in shared.master.state()[kind][topic] if name != "/midspan"]
         assert names == [connection["node"]]
         assert (connection["direction"], connection["transport"]) == (direction, "TCPROS")
         assert connection["host"].startswith("127.0.0.1:")
-        assert connection["bytes"] == connection["messages"] * 108 > 0
         text = shared.command("explain", topic).stdout
         assert f"{connection['node']} at {connection['host']} (TCPROS, {topic}): " in text
 
