@@ -56,10 +56,13 @@ def _all_arrive(
     speeds = [0.2] * (COUNT // 2) + [0.0] * (COUNT // 2)
     for number, speed in enumerate(speeds, 1):  # one at a time, because of queued commands only the newest is kept
         send(speed)
-        if any(
-            len(peer.wait(end, before[side] + number, 5.0)) < before[side] + number
-            for side, (peer, end) in ends.items()
-        ):
+
+        def arrived(number: int = number) -> bool:
+            counts = {side: before[side] + number for side in ends}
+            return all(len(peer.wait(end, counts[side], 0.2)) >= counts[side] for side, (peer, end) in ends.items())
+
+        until(lambda: arrived() or stale() != dropped, f"velocity {number} arrives or is dropped")
+        if not arrived():
             break
     got = {side: [m["linear"]["x"] for m in peer.wait(end, 0)][before[side] :] for side, (peer, end) in ends.items()}
     complete = all(arrived == speeds for arrived in got.values())
