@@ -71,16 +71,19 @@ def test_motion_and_rotation_are_progress_and_noise_is_not() -> None:
     assert demo_progress.still == 0.0
 
 
-BUSY = "import time\nwhile time.process_time() < 2.0: pass\nprint('done', flush=True)\ntime.sleep(600)"
+BUSY = "import time\ninput()\nwhile time.process_time() < 2.0: pass\nprint('done', flush=True)\ntime.sleep(600)"
 
 
 def test_processor_time_of_a_starting_process_is_progress() -> None:
     demo_progress, clock = progress()
-    with subprocess.Popen([sys.executable, "-c", BUSY], stdout=subprocess.PIPE) as busy:
+    with subprocess.Popen([sys.executable, "-c", BUSY], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as busy:
         try:
             demo_progress.note_work([busy.pid])
             clock.now += 10.0
+            assert busy.stdin is not None
             assert busy.stdout is not None
+            busy.stdin.write(b"\n")  # computes only now
+            busy.stdin.flush()
             busy.stdout.readline()
             demo_progress.note_work([busy.pid])
             assert demo_progress.still == 0.0
