@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import json
 import struct
-import time
 from collections.abc import Callable
 from typing import Any, Self, TypeVar
 
@@ -19,6 +18,7 @@ from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
 from tests.peers.browser.page import TlsSocket
+from tests.support.wait import until
 
 T = TypeVar("T")
 
@@ -93,12 +93,18 @@ class App:
             self.texts.append(texts)
 
     def until(self, done: Callable[[], T | None], what: str, seconds: float = 15.0) -> T:
-        """Read until ``done`` returns something true."""
-        end = time.monotonic() + seconds
-        while not (result := done()):
-            assert time.monotonic() < end, f"{what}: not within {seconds:g} s; received: {self.texts[-5:]}"
-            self.read()
-        return result
+        """Read until ``done`` returns something true; waits are as long as in `tests.support.wait.until`."""
+
+        def read() -> T | None:
+            if not (value := done()):
+                self.read()
+            return value
+
+        try:
+            return until(read, what, seconds, every=0.0)
+        except AssertionError as err:
+            err.add_note(f"received: {self.texts[-5:]}")
+            raise
 
     def channel(self, topic: str) -> dict[str, Any]:
         """Wait for the announcement of a topic."""

@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 import json
 import threading
-import time
 from collections.abc import Callable, Coroutine
 from typing import Any, Self, TypeVar
 
@@ -15,6 +14,7 @@ from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
 from tests.peers.browser.protocol import check_done, check_said
+from tests.support.wait import until
 
 _T = TypeVar("_T")
 PROTOCOL = "midspan.console.1"
@@ -71,12 +71,18 @@ class TestPage:
         return True
 
     def until(self, condition: Callable[[], Any], what: str, seconds: float = 30.0) -> Any:
-        """Read until a condition is true."""
-        end = time.monotonic() + seconds
-        while not (result := condition()):
-            assert time.monotonic() < end, f"not within {seconds:g} s: {what}; {self.values} {self.others}"
-            self.read()
-        return result
+        """Read until a condition is true; waits are as long as in `tests.support.wait.until`."""
+
+        def read() -> Any:
+            if not (value := condition()):
+                self.read()
+            return value
+
+        try:
+            return until(read, what, seconds, every=0.0)
+        except AssertionError as err:
+            err.add_note(f"{self.values} {self.others}")
+            raise
 
     def value(self, feed: str, wanted: Callable[[Any], Any] = bool, what: str = "") -> Any:
         """Wait until a feed has the wanted value, which is not None (the server has none yet), and return it."""
