@@ -30,7 +30,7 @@ from tests.peers.ros1.network import ROS1_PYTHON, RosMaster, needs_ros1
 from tests.peers.ros2.network import SHORT_LEASE, ros2_domain, ros2_environment, ros2_python
 from tests.support.forks import DAEMON_AND_WORKERS
 from tests.support.ports import free_port
-from tests.support.process import Process
+from tests.support.process import DAEMON_SECONDS, Process
 from tests.support.wait import until
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
@@ -86,7 +86,8 @@ class Fresh:
         if config.get("yarp", {}).get("nameserver") == "site":
             self.stack.enter_context(NameServer(port=address.port, gc_seconds=0))
         run = [*MIDSPAN, "run", "--config", self.file]
-        self.stack.enter_context(Process(run, os.environ | self.shell, imports=DAEMON_AND_WORKERS))
+        daemon = Process(run, os.environ | self.shell, imports=DAEMON_AND_WORKERS)
+        self.stack.callback(daemon.stop, DAEMON_SECONDS)
 
     def ros1(self, script: str, *words: str) -> None:
         self.stack.enter_context(Process([ROS1_PYTHON, PEERS / script, *words], self._master.env))

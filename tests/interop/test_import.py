@@ -16,7 +16,7 @@ from tests.peers.peer import Peer
 from tests.peers.ros2.network import ROS2_PEER, new_domain, ros2_environment, ros2_python
 from tests.support.forks import DAEMON_AND_WORKERS
 from tests.support.ports import free_port
-from tests.support.process import Process
+from tests.support.process import DAEMON_SECONDS, Process
 from tests.support.wait import until
 
 pytestmark = pytest.mark.thorough
@@ -169,7 +169,7 @@ def two_domains(tmp_path: Path) -> Iterator[TwoDomains]:
     two_domains = TwoDomains(tmp_path)
     yield two_domains
     for process in reversed(two_domains.open):
-        process.stop()
+        process.stop(DAEMON_SECONDS)
 
 
 def test_an_imported_domain_bridge_bridges_topics_services_and_actions(two_domains: TwoDomains) -> None:

@@ -25,7 +25,7 @@ from tests.peers.ros1.network import ROS1_PEER, ROS1_PYTHON, ros1_environment
 from tests.peers.ros2.network import ROS2_PEER, ros2_domain, ros2_environment, ros2_python
 from tests.support.missing import ROS1, ROS2, needs
 from tests.support.netns import Cable, Machine, need_namespaces
-from tests.support.process import Process
+from tests.support.process import DAEMON_SECONDS, Process
 from tests.support.wait import until
 
 pytestmark = [needs(ROS1), needs(ROS2)]
@@ -105,7 +105,7 @@ class Pair:
 
     def close(self) -> None:
         for process in reversed(self.processes):
-            process.stop()
+            process.stop(DAEMON_SECONDS)
         for machine in (self.robot, self.operator):
             machine.close()
 

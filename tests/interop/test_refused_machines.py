@@ -15,7 +15,7 @@ from bridge.hub.security.certificates import Authority
 from tests.peers.daemon.midspan import MIDSPAN, verb_module
 from tests.support.forks import COMMAND, DAEMON_AND_WORKERS
 from tests.support.ports import free_port
-from tests.support.process import Process, run_forked
+from tests.support.process import DAEMON_SECONDS, Process, run_forked
 from tests.support.wait import until
 
 OFF = {"enabled": False}
@@ -76,11 +76,11 @@ def test_both_ends_report_a_foreign_authority(short: Path, run: list[str]) -> No
     place = f"tls/127.0.0.1:{free_port()}"
     robot = Daemon(short, "robot1", short / "a", run, listen=[place])
     with contextlib.ExitStack() as running:
-        running.enter_context(robot.process)
+        running.callback(robot.process.stop, DAEMON_SECONDS)
         # a router that starts before the other one listens may log that nothing answers
         until(lambda: robot.endpoint().get("state") == "listening", "the robot listens", every=0.2)
         operator = Daemon(short, "operator1", short / "b", run, connect=[place])
-        running.enter_context(operator.process)
+        running.callback(operator.process.stop, DAEMON_SECONDS)
         until(
             lambda: operator.lines(f"hub.open.connect {place}: refused: the other machine's certificate"),
             "the operator logs the refusal",
@@ -102,13 +102,13 @@ def test_both_ends_report_a_foreign_authority(short: Path, run: list[str]) -> No
         assert "from another authority" in robot.midspan("doctor", "--only", "keys")
         assert len(operator.lines("hub.open.connect")) == 1
         assert len(robot.lines("hub.open.listen")) <= 2, "more than one line for each direction of the refusal"
-        operator.process.stop()
+        operator.process.stop(DAEMON_SECONDS)
         until(lambda: robot.lines("machines are no longer refused"), "the robot clears the report")
         until(lambda: robot.endpoint().get("state") == "listening", "the robot's status shows no refusal")
         joined = Daemon(short, "operator1", short / "a", run, connect=[place])
-        with joined.process:
-            until(lambda: joined.lines(f"hub.open.connect {place}: connected to robot1"), "the operator joins")
-            until_printed(joined, f"hub.open.connect {place} connected to robot1 for ")
-            assert f"{place}: TLS with robot1 succeeds, and the router reports connected" in joined.midspan(
-                "doctor", "--only", "keys"
-            )
+        running.callback(joined.process.stop, DAEMON_SECONDS)
+        until(lambda: joined.lines(f"hub.open.connect {place}: connected to robot1"), "the operator joins")
+        until_printed(joined, f"hub.open.connect {place} connected to robot1 for ")
+        assert f"{place}: TLS with robot1 succeeds, and the router reports connected" in joined.midspan(
+            "doctor", "--only", "keys"
+        )

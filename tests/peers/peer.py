@@ -9,9 +9,10 @@ except the first ``since``, after ``count`` have arrived or the time is over); `
 ``count`` ``std_msgs/String`` with numbers from ``first`` on, ``rate`` a second, on a thread; ``counted`` id, now: wait
 until it has finished (or stop it now) -> sent; ``tally`` id, since -> received, distinct numbers, ``last``:
 ``time.monotonic()`` at the last arrival, ``silence``: the longest time between two arrivals from ``since`` on,
-``begun``: when that began; ``silence`` id, since -> last, silence, begun, for any type; ``broadcast`` id, child, rate (ROS 1): transforms from ``map`` to
-``child`` until ``counted``; ``join`` type, published, subscribed (topics): latched endpoints, created at once; each
-topic's name is published on it -> publishers, subscriptions {topic: id}, begun, ended (``time.monotonic()``).
+``begun``: when that began; ``silence`` id, since -> last, silence, begun, for any type; ``broadcast`` id, child, rate
+(ROS 1): transforms from ``map`` to ``child`` until ``counted``; ``join`` type, published, subscribed (topics): latched
+endpoints, created at once; each topic's name is published on it -> publishers, subscriptions {topic: id}, begun, ended
+(``time.monotonic()``).
 
 A reply has ``ok``; if it is false, ``error``.
 

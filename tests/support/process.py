@@ -19,6 +19,9 @@ from tests.support.forks import Forked
 
 _OUTPUT_CHARACTERS = 6000
 
+DAEMON_SECONDS = 40.0
+"""Seconds for a daemon's stop on a busy machine; it stops within `bridge.daemon.supervisor.STOP_SECONDS` otherwise."""
+
 _running: weakref.WeakSet[Process] = weakref.WeakSet()
 
 
@@ -71,7 +74,10 @@ class Process:
             os.killpg(self.pid, number)
 
     def stop(self, seconds: float = 6.0) -> int:
-        """Send SIGTERM, wait, then send SIGKILL to the group; return the exit code."""
+        """Send SIGTERM, wait, then send SIGKILL to the group; return the exit code.
+
+        A daemon needs `DAEMON_SECONDS`: its router outlives it if it is killed.
+        """
         if self.popen.poll() is None:
             self.signal(signal.SIGTERM)
             with contextlib.suppress(subprocess.TimeoutExpired):

@@ -25,6 +25,7 @@ from tests.peers.ros1.network import EMBEDDED, RosMaster
 from tests.peers.ros2.network import ROS2_PEER, ros2_domain, ros2_environment, ros2_python
 from tests.support.lane import LANE
 from tests.support.missing import COMPILER, ROS2, need
+from tests.support.process import DAEMON_SECONDS
 from tests.support.status_documents import DOCUMENTS, check_document
 from tests.support.wait import until
 
@@ -194,7 +195,7 @@ class Deployment(MidspanDaemon):
             return
         if show:
             print(self.daemon.output()[-8000:])
-        self.daemon.stop(40.0)
+        self.daemon.stop(DAEMON_SECONDS)
         end_router(self.folder / "state")
 
 

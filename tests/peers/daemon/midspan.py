@@ -14,7 +14,7 @@ from bridge.cli.main import VERBS
 from bridge.hub.session import HubSettings
 from tests.support.forks import COMMAND, DAEMON, DAEMON_AND_WORKERS
 from tests.support.ports import free_port
-from tests.support.process import Process, run_forked
+from tests.support.process import DAEMON_SECONDS, Process, run_forked
 
 MIDSPAN = [sys.executable, "-m", "bridge.cli.main"]
 
@@ -71,4 +71,4 @@ class MidspanDaemon:
         """Stop the daemon with SIGTERM, and return its exit code."""
         assert self.daemon is not None
         daemon, self.daemon = self.daemon, None
-        return daemon.stop(40.0)  # on a busy machine; it stops within `bridge.daemon.supervisor.STOP_SECONDS` otherwise
+        return daemon.stop(DAEMON_SECONDS)

@@ -26,7 +26,7 @@ from tests.peers.ros2.network import ROS2_PEER, new_domain, ros2_environment, ro
 from tests.support.forks import DAEMON_AND_WORKERS
 from tests.support.lane import LANE
 from tests.support.ports import free_port
-from tests.support.process import Process
+from tests.support.process import DAEMON_SECONDS, Process
 from tests.support.wait import until
 
 STRING = "std_msgs/String"
@@ -151,7 +151,7 @@ class Daemon:
         if self.watch is not None:
             self.watch.close()
         if self.process is not None:
-            self.process.stop()
+            self.process.stop(DAEMON_SECONDS)
 
 
 class Several:

@@ -28,6 +28,7 @@ from tests.peers.hub.node import HubNode
 from tests.peers.navigation.gateway import pose
 from tests.support.missing import COMPILER, DART, need
 from tests.support.ports import free_port
+from tests.support.process import DAEMON_SECONDS
 from tests.support.wait import until
 
 MODULES = ("base_control", "map2d_server", "localization_server", "robot_goto", "robot_path_planner")
@@ -278,7 +279,7 @@ class Chain(MidspanDaemon):
         if self.daemon is not None:
             if kind is not None:
                 print(self.daemon.output()[-12000:])
-            self.daemon.stop()
+            self.daemon.stop(DAEMON_SECONDS)
 
 
 def _opened(settings: HubSettings) -> Client | None:
