@@ -138,8 +138,8 @@ def test_a_stop_ends_docking_and_waypoints(rig: Nav2Rig, midspan: Midspan, words
     refused = midspan("undock")
     assert (refused.code, "the robot is not idle (moving: " in refused.err) == (1, True), refused
     assert "the robot may be moving: stop it first" in midspan("nav", "reset").err
-    stopped = midspan("nav", "stop")
-    assert stopped.code == 0, stopped
+    # a stop that a busy machine does not confirm within 2.5 s fails, and continues
+    until(lambda: midspan("nav", "stop").code == 0, "the stop is confirmed", SECONDS)
     assert not rig.base.moves, "the stop was confirmed"
     until(lambda: program.popen.poll() is not None, "the program has ended", SECONDS)
     assert (program.popen.returncode, "midspan: canceled" in program.output()) == (1, True), program.output()
@@ -158,12 +158,12 @@ def test_a_patrol_passes_its_places_without_stops_until_it_is_stopped(rig: Nav2R
         page.value("patrol", lambda value: (value["state"], value["round"], value["at"]) == ("drives", 2, 1))
         assert rig.goals("navigate_through_poses")[before:] == [{"x": [1.0, 2.0] * 10}]
         until(lambda: rig.base.moves, "the base moves", SECONDS)
-        assert page.call("stop")["ok"]
+        until(lambda: page.call("stop")["ok"], "the stop is confirmed", SECONDS)
         assert not rig.base.moves, "the stop was confirmed"
         assert "stopped" in page.value("patrol", lambda value: value["state"] == "ended")["why"]
         assert page.call("patrol", places=["a", "far"], wait=0)["ok"]
         page.value("patrol", lambda value: (value["round"], value["at"]) == (1, 1))
-        assert page.call("stop")["ok"]
+        until(lambda: page.call("stop")["ok"], "the stop is confirmed", SECONDS)
         assert not rig.base.moves
         assert len(rig.goals("navigate_through_poses")) == before + 2
     assert midspan("location", "remove", "far").code == 0
