@@ -32,6 +32,7 @@ class Direct:
         self._simple = peer.advertise("/move_base_simple/goal", "geometry_msgs/PoseStamped")
         self._results = peer.subscribe("/move_base/result", RESULT)
         self._statuses = peer.subscribe("/move_base/status", "actionlib_msgs/GoalStatusArray")
+        self._lists: list[dict[str, tuple[int, str]]] = []
         self.targets = peer.subscribe("/move_base/current_goal", "geometry_msgs/PoseStamped")
         for end in (self._goals, self._cancels, self._simple):
             until(
@@ -57,11 +58,15 @@ class Direct:
         return self.lists()[-1]
 
     def lists(self) -> list[dict[str, tuple[int, str]]]:
-        """Return the state and the text of each goal in every status list. A list has ended goals only for 5 s."""
-        return [
-            {item["goal_id"]["id"]: (item["status"], item["text"]) for item in message["status_list"]}
-            for message in self.peer.wait(self._statuses, 1, 1.0)
-        ]
+        """Return the state and the text of each goal in every status list so far, after waiting for another list.
+
+        A list has ended goals only for 5 s.
+        """
+        known = len(self._lists)
+        for message in self.peer.wait(self._statuses, known + 1, 1.0, known):
+            goals = {item["goal_id"]["id"]: (item["status"], item["text"]) for item in message["status_list"]}
+            self._lists.append(goals)
+        return self._lists
 
     def is_in(self, name: str, state: int) -> str:
         """Return the text of a goal, once a status list has the goal in this state."""
