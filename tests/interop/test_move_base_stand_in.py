@@ -114,7 +114,7 @@ def test_the_stand_in_behaves_like_measurements_of_move_base(direct: Direct) -> 
     before = len(direct.peer.wait(direct.targets, 0, 0.0))
     direct.goal("lost", 1.0, frame="/map")
     assert len(direct.peer.wait(direct.targets, before + 5, SECONDS)) >= before + 5
-    direct.is_in("lost", ACTIVE)
+    until(lambda: direct.listed().get("lost", (-1, ""))[0] == ACTIVE, "the goal is active", SECONDS)
     direct.cancel()
     direct.is_in("lost", PREEMPTED)
 
