@@ -291,6 +291,8 @@ def _stop(watch: Watch, client: Client, fault: Fault) -> None:
         if all(SILENT in answer for _, answer in watch.answers.values()):  # each request was lost with the gateway
             watch.until(watch.mix.back, "all workers are back")
             watch.ask("stop", callers)
+        if fault.gateway_dies:  # on a busy machine, a restart takes longer than a stop
+            watch.until(watch.mix.back, "all workers are back")
         watch.until(lambda: not watch.base.moves, "the stop reaches the planner", STANDS_SECONDS)
     fault.end(watch.mix)
     if not watch.own:
