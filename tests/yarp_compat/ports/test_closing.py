@@ -19,6 +19,7 @@ def test_replaced_connection_ends_with_the_port(make_port: MakePort) -> None:
     """After the port has closed, the replaced connection delivers nothing more, and its thread has ended."""
     got: list[bytes] = []
     go_on = threading.Event()
+    earlier = threading.enumerate()
 
     def on_message(message: PortMessage) -> None:
         got.append(bytes(message.payload))
@@ -34,17 +35,19 @@ def test_replaced_connection_ends_with_the_port(make_port: MakePort) -> None:
     until(lambda: reader.connections.inputs not in ([], [former]), "a new connection of the same port")
     closer = threading.Thread(target=reader.close)
     closer.start()
+    until(lambda: not reader.is_open, "the port is closing")
     closer.join(0.3)
     assert closer.is_alive(), "closing waits until on_message returns"
     go_on.set()
     closer.join(20)
-    assert not [t for t in threading.enumerate() if t.name == "yarp /w > /r"]
+    assert not [t for t in threading.enumerate() if t.name == "yarp /w > /r" and t not in earlier]
     assert got == [b"1"]
     assert reader.connections.leaving == []
 
 
 def test_pending_request_of_a_replaced_connection_is_abandoned_when_the_port_closes(make_port: MakePort) -> None:
     waiting: list[PortMessage] = []
+    earlier = threading.enumerate()
 
     def on_message(message: PortMessage) -> None:
         message.later()
@@ -67,7 +70,7 @@ def test_pending_request_of_a_replaced_connection_is_abandoned_when_the_port_clo
     assert not waiting[0].is_retired, "a replaced connection still waits for the reply"
     server.close()
     assert waiting[0].is_retired
-    assert not [t for t in threading.enumerate() if t.name == "yarp /client > /server"]
+    assert not [t for t in threading.enumerate() if t.name == "yarp /client > /server" and t not in earlier]
 
 
 def test_port_opened_while_another_thread_closes_it_is_open_afterwards(
@@ -186,4 +189,4 @@ def test_the_checks_of_all_ports_wake_the_shared_thread_only_once(
     steps.clear()
     checked.clear()
     until(lambda: len(checked) >= 100, "the ports are checked")
-    assert len(steps) < 30
+    assert 10 * len(steps) < 3 * len(checked)  # more than 100 checks, if this thread was delayed
