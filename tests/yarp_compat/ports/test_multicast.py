@@ -211,10 +211,12 @@ def test_output_sends_the_same_bytes_as_a_real_one(make: Callable[..., PortCore]
 def test_yarp_connect_by_mcast_delivers_messages(make: Callable[..., PortCore], server: RealNameServer) -> None:
     """Two readers, and a third one over tcp: until disconnected, each receives every message once, even a long one."""
     first, second, third = Reader(), Reader(), Reader()
-    writer = make("/w")
+    writer, readers = make("/w"), dict[str, PortCore]()
     for name, got in (("/one", first), ("/two", second), ("/three", third)):
-        make(name, got)
+        readers[name] = make(name, got)
         connections.connect(writer.naming, "/w", name, "tcp" if name == "/three" else "mcast")
+        # a writer waits for only a second until a reader has joined the group
+        until(readers[name].inputs, f"{name} receives messages")
     assert connections.carrier_between(writer.naming, "/w", "/one") == "mcast"
     assert [contact.carrier for contact in server.ports.values()].count("mcast") == 1
     values: list[object] = [[0], [1], [b"y" * 200_000], [2]]
@@ -224,6 +226,7 @@ def test_yarp_connect_by_mcast_delivers_messages(make: Callable[..., PortCore], 
         until(lambda got=got: len(got) == len(values), "all messages have arrived")
         assert got == values
     connections.disconnect(writer.naming, "/w", "/one")
+    until(lambda: not readers["/one"].inputs(), "/one has left the group")
     writer.write(encode([3], Profile.YARP3))
     until(lambda: [3] in second, "the other reader still receives messages")
     assert [3] not in first
