@@ -110,7 +110,7 @@ def test_query_of_a_silent_port_times_out() -> None:
 
 @pytest.mark.parametrize("profile", Profile)
 def test_midspans_ports_answer_their_dialect(make_port: MakePort, profile: Profile) -> None:
-    assert ask_profile(make_port("/p", profile=profile).contact) is profile
+    assert ask_profile(make_port("/p", profile=profile).contact, timeout=40.0) is profile
 
 
 @pytest.mark.usefixtures("patient")
