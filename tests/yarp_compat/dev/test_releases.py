@@ -124,7 +124,7 @@ def test_local_clients_get_replies_for_their_library(
             decision = server.generations.of(f"/of{name}/rpc", link=clients[loaded].address)
             assert (decision.generation, decision.sure) == (Generation.of(loaded), True)
             assert loaded in decision.reason
-    assert not caplog.records
+    assert not [record for record in caplog.records if record.name.startswith("yarp")]
 
 
 def test_a_setting_overrides_the_library(connect: Callable[..., Client], loads: Load) -> None:
