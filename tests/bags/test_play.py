@@ -31,7 +31,6 @@ from tests.contract.hubside import HubSide
 from tests.peers.hub.quick import QuickHub
 from tests.peers.peer import stop_all
 from tests.support.process import Process
-from tests.support.processor_share import ProcessorShare
 from tests.support.wait import until
 
 TEXT, TWIST, TF = "std_msgs/String", "geometry_msgs/Twist", "tf2_msgs/TFMessage"
@@ -59,7 +58,7 @@ def hubs() -> Iterator[QuickHub]:
 
 
 class Listener:
-    """A program on the hub that records received messages."""
+    """A program on the hub that records received messages, and when they were sent."""
 
     def __init__(self, hub: Hub) -> None:
         self.hub = hub
@@ -69,7 +68,7 @@ class Listener:
         to_json(REGISTRY, type_name, from_json(REGISTRY, type_name, {}))  # the first use of a type takes long
 
         def arrived(sample: HubSample) -> None:
-            at = time.monotonic()
+            at = sample.source_time_ns / NS
             self.messages.append((topic, to_json(REGISTRY, type_name, sample.data()), at))
 
         self.hub.subscription(topic, type_name, "*", qos or Qos(depth=100), arrived)
@@ -87,7 +86,8 @@ class Listener:
 
 
 @pytest.fixture
-def listener(hubs: QuickHub) -> Iterator[Listener]:
+def listener(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch) -> Iterator[Listener]:
+    monkeypatch.setattr("bridge.cli.bags.play.MATCH_SECONDS", 40.0)  # for a busy machine
     with Hub.open(hubs.settings("listener")) as hub:
         built = Listener(hub)
         built.on_message("/said", "std_msgs/msg/String")
@@ -191,7 +191,7 @@ def test_the_option_commands_plays_commands_and_zero_ends_them(
 def test_latched_topics_stay_latched_but_velocities_do_not(
     player: Player, listener: Listener, number: signal.Signals, code: int
 ) -> None:
-    program = player("--commands", "--rate", "0.05", "--loop")
+    program = player("--commands", "--rate", "0.02", "--loop")
     until(lambda: listener.received_on("/cmd_vel"), "a velocity is received", 20)
     until(
         lambda: (
@@ -202,19 +202,19 @@ def test_latched_topics_stay_latched_but_velocities_do_not(
     )
     listener.on_message("/name", "std_msgs/msg/String", LATCHED)
     until(lambda: listener.texts("/name") == ["latched"], "a late subscriber gets latched messages")
-    share, begun = ProcessorShare(), time.monotonic()
+    begun = time.monotonic()
     program.signal(number)
     until(
         lambda: not [end for end in listener.hub.graph.publishers() if not end.own],
         "the player's publishers are gone",
     )
     output_of(program, code)
-    assert time.monotonic() - begun < 2.0 / share.least()
+    assert time.monotonic() - begun < 20.0, "the play ends before the loop of 25 s"
     until(lambda: listener.received_on("/cmd_vel")[-1]["linear"]["x"] == 0.0, "the last velocity is zero")
 
 
 def test_a_halt_pauses_a_player_of_commands(player: Player, listener: Listener) -> None:
-    program = player("--commands", "--topics", "/cmd_vel", "--rate", "0.05", "--clock")
+    program = player("--commands", "--topics", "/cmd_vel", "--rate", "0.01", "--clock")
     until(lambda: listener.received_on("/cmd_vel"), "a velocity is received", 20)
     assert [answer.value for answer in listener.hub.ask("halt", {}, timeout=20.0)] == [RECORDED]
     until(lambda: listener.received_on("/cmd_vel")[-1]["linear"]["x"] == 0.0, "a zero velocity is received")
@@ -236,11 +236,12 @@ def test_keys_pause_step_and_end_the_play(file: Path, bag: Path, listener: Liste
     primary, secondary = pty.openpty()
     line = [sys.executable, "-m", "bridge.cli.main", "play", str(bag), "--config", str(file), "--settle", "0"]
     program = subprocess.Popen(
-        [*line, "--topics", "/said", "--paused"], stdin=secondary, stdout=secondary, stderr=secondary
+        [*line, "--topics", "/said", "--paused", "--clock"], stdin=secondary, stdout=secondary, stderr=secondary
     )
     try:
         shown = TerminalOutput(primary)
         until(lambda: "paused" in shown.text(), "the progress line is shown", 20)
+        until(lambda: listener.received_on("/clock"), "the player has matched the subscriptions")
         os.write(primary, b".")
         until(lambda: listener.texts() == ["said 0"], "a key steps")
         os.write(primary, b"s")
@@ -298,9 +299,10 @@ def test_each_loop_publishes_all_static_transforms_once(player: Player, listener
     until(lambda: listener.texts().count("said 5") >= 3, "the message arrives three times", 20)
     program.signal(signal.SIGTERM)
     output_of(program, 143)
-    assert listener.texts()[:12] == [f"said {n}" for n in range(6)] * 2
+    begun = listener.texts().index("said 0")  # on a busy machine, the first loop may begin before the player matches
+    assert listener.texts()[begun : begun + 12] == [f"said {n}" for n in range(6)] * 2
     until(
-        lambda: len(listener.frames()) - listener.texts().count("said 0") in (0, 1),
+        lambda: len(listener.frames()) - listener.texts().count("said 0") in (bool(begun), bool(begun) + 1),
         "each loop has one message of frames",
     )
     assert all(item == {"laser", "camera"} for item in listener.frames())

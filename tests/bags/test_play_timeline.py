@@ -172,7 +172,7 @@ def test_a_stop_ends_a_wait_at_once() -> None:
     thread = threading.Thread(target=lambda: dues.append(played.next(START + 3600 * NS)))
     thread.start()
     played.stop()
-    thread.join(5.0)
+    thread.join(60.0)
     assert dues == [Due.STOPPED]
     assert played.stopped
 
@@ -189,6 +189,6 @@ def test_pause_step_and_resume_end_a_wait() -> None:
     thread.start()
     played.step()
     played.pause(False)
-    thread.join(5.0)
+    thread.join(60.0)
     assert not thread.is_alive()
     assert dues[-1] is Due.MESSAGE
