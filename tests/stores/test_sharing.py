@@ -40,6 +40,12 @@ def hub() -> Iterator[QuickHub]:
         yield network
 
 
+@pytest.fixture
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let clients wait for a store on a busy machine."""
+    monkeypatch.setattr("bridge.client.store._FIND_SECONDS", 40.0)
+
+
 def names(shared: Shared) -> list[str]:
     return shared.store.names(LOCATION)
 
@@ -66,11 +72,11 @@ def test_a_write_reaches_all_replicas(hub: QuickHub, tmp_path: Path) -> None:
         second_store.store.delete(LOCATION, "the kitchen")
         until(lambda: not names(first_store), "the deletion has arrived", SECONDS)
         until(lambda: len(changes) == 3, "all changes are received", SECONDS)
-        assert changes == [
-            ("map", "m1", False, "one", False),
+        assert sorted(changes[:2]) == [  # in any order, as the stores may still compare their contents
             ("location", "the kitchen", False, "one", False),
-            ("location", "the kitchen", True, "two", True),
+            ("map", "m1", False, "one", False),
         ]
+        assert changes[2] == ("location", "the kitchen", True, "two", True)
         assert first_store.replica.status().conflicts == second_store.replica.status().conflicts == 0
 
 
@@ -264,6 +270,7 @@ def test_a_client_reads_its_own_writes(hub: QuickHub, tmp_path: Path) -> None:
                 client.write([Write(LOCATION, "one more", KITCHEN)])
 
 
+@pytest.mark.usefixtures("patient")
 def test_a_change_is_based_on_the_newest_version(hub: QuickHub, tmp_path: Path) -> None:
     with Hub.open(hub.settings("cli")) as session, Shared(tmp_path, "one", hub.endpoint) as first_store:
         client = StoreClient(session.keyspace(prefix(0)), "one")
@@ -286,6 +293,7 @@ def test_a_change_is_based_on_the_newest_version(hub: QuickHub, tmp_path: Path) 
         assert first_store.store.get(LOCATION, "new") == KITCHEN
 
 
+@pytest.mark.usefixtures("patient")
 def test_a_client_renames_a_map_with_its_places(hub: QuickHub, tmp_path: Path) -> None:
     with Hub.open(hub.settings("cli")) as session, Shared(tmp_path, "one", hub.endpoint) as first_store:
         client, store = StoreClient(session.keyspace(prefix(0)), "one"), first_store.store
@@ -311,6 +319,7 @@ def test_a_client_renames_a_map_with_its_places(hub: QuickHub, tmp_path: Path) -
                 client.rename(LOCATION, old, new)
 
 
+@pytest.mark.usefixtures("patient")
 def test_a_client_waits_for_a_store_that_starts_later(hub: QuickHub, tmp_path: Path) -> None:
     with Hub.open(hub.settings("cli")) as session, ThreadPoolExecutor() as pool:
         space = session.keyspace(prefix(0))
