@@ -169,7 +169,7 @@ def test_two_publishers_of_the_clock_are_reported_once(
         now[0] += 0.01
         run.receive(message(7 if step % 2 else 1000 + step))
     assert "several programs publish it" in run.trouble()
-    assert [("was set back to 7" in m, m == run.trouble()) for m in caplog.messages] == [
+    assert [("was set back to 7" in m, m == run.trouble()) for m in caplog.messages if "/clock" in m] == [
         *[(True, False)] * clocks.MOST_BACK, (False, True),
     ]  # fmt: skip
     for _ in range(100):  # one of them has ended
@@ -177,7 +177,7 @@ def test_two_publishers_of_the_clock_are_reported_once(
         run.receive(message(2000))
     assert run.trouble() == ""
     run.receive(message(7))
-    assert caplog.messages[-1] == "/clock was set back to 7.000 s"
+    assert [m for m in caplog.messages if "/clock" in m][-1] == "/clock was set back to 7.000 s"
 
 
 def test_simulated_time_that_stands_still_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:

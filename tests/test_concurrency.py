@@ -150,9 +150,9 @@ def test_a_call_requested_twice_with_once_runs_once() -> None:
 
     try:
         calls.after(0.0, hold)  # no other call is due before all are requested
-        calls.after(0.3, lambda: executed.append("last"))
         calls.after(0.05, once, once=True)
         calls.after(0.1, once, once=True)
+        calls.after(0.3, lambda: executed.append("last"))  # requested after the others, so that it is due after them
         calls.after(0.0, lambda: 1 // 0)  # the failure does not stop later calls
         go_on.release()
         until(lambda: "last" in executed, "all calls have run")

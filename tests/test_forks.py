@@ -49,8 +49,9 @@ def test_a_forked_program_has_its_arguments_exit_code_and_output(start: Start) -
 
 def test_threads_and_exit_handlers_end_before_a_program(start: Start) -> None:
     program = start(
-        "import atexit, sys, threading\natexit.register(print, 'handler')\n"
-        "threading.Timer(0.1, print, ['thread']).start()\nprint('main')\nsys.exit(3)"
+        "import atexit, sys, threading, time\natexit.register(print, 'handler')\nended = threading.Event()\n"
+        "threading.Thread(target=lambda: (ended.wait(), time.sleep(0.1), print('thread'))).start()\n"
+        "print('main')\nended.set()\nsys.exit(3)"
     )
     assert program.popen.wait(20) == 3
     assert program.output().splitlines() == ["main", "thread", "handler"]

@@ -23,12 +23,12 @@ def test_all_sessions_that_serve_a_verb_respond(network: HubNetwork):
         for number, hub in enumerate((a, b, c)):
             hub.serve("twice", lambda params, number=number: {"number": number, "value": 2 * params["value"]})
         until(lambda: len(cli.graph.nodes()) == 4, "all sessions are linked")
-        until(lambda: len(cli.ask("twice", {"value": 21})) == 3, "all sessions reply")
-        answers = {(x.daemon, x.worker): x for x in cli.ask("twice", {"value": 21})}
+        until(lambda: len(cli.ask("twice", {"value": 21}, timeout=40.0)) == 3, "all sessions reply")
+        answers = {(x.daemon, x.worker): x for x in cli.ask("twice", {"value": 21}, timeout=40.0)}
         assert answers[("robot1", "ros2")] == WorkerAnswer("robot1", "ros2", {"number": 1, "value": 42})
         assert set(answers) == {("robot1", "ros1"), ("robot1", "ros2"), ("robot2", "ros1")}
-        assert [x.value["number"] for x in cli.ask("twice", {"value": 1}, daemon="robot2")] == [2]
-        assert [x.value["number"] for x in cli.ask("twice", {"value": 1}, worker="ros2")] == [1]
+        assert [x.value["number"] for x in cli.ask("twice", {"value": 1}, daemon="robot2", timeout=40.0)] == [2]
+        assert [x.value["number"] for x in cli.ask("twice", {"value": 1}, worker="ros2", timeout=40.0)] == [1]
         assert cli.ask("twice", {"value": 1}, daemon="nobody", timeout=0.5) == []
         assert cli.ask("unknown", {}, timeout=0.5) == []
 
@@ -45,16 +45,16 @@ def test_errors_are_reported(network: HubNetwork, handler: Any, error: str):
     with Hub.open(network.settings("a")) as a:
         a.serve("verb", handler)
         a.serve("fine", lambda _params: [1])
-        assert a.ask("verb", {}) == [WorkerAnswer("test", "test", None, error)]
-        assert a.ask("fine", {}) == [WorkerAnswer("test", "test", [1])]
+        assert a.ask("verb", {}, timeout=40.0) == [WorkerAnswer("test", "test", None, error)]
+        assert a.ask("fine", {}, timeout=40.0) == [WorkerAnswer("test", "test", [1])]
 
 
 def test_unserializable_answer_does_not_affect_the_others(network: HubNetwork):
     with Hub.open(network.settings("a")) as a:
         a.serve("verb", lambda _params: {1, 2})
         a.serve("fine", lambda _params: 1)
-        assert [x.error != "" for x in a.ask("verb", {})] == [True]
-        assert [x.value for x in a.ask("fine", {})] == [1]
+        assert [x.error != "" for x in a.ask("verb", {}, timeout=40.0)] == [True]
+        assert [x.value for x in a.ask("fine", {}, timeout=40.0)] == [1]
 
 
 @pytest.mark.parametrize("question", [b"\xff", b"[1]", b"{", b"x" * (2 << 20)])
@@ -77,7 +77,7 @@ def test_slow_answer_does_not_delay_samples_or_other_verbs(network: HubNetwork):
         slow: list[list[WorkerAnswer]] = []
         asker = threading.Thread(target=lambda: slow.append(a.ask("slow", {}, timeout=40)))
         asker.start()
-        assert [x.value for x in a.ask("quick", {})] == ["here"]
+        assert [x.value for x in a.ask("quick", {}, timeout=40.0)] == ["here"]
         go.set()
         asker.join()
         assert [x.value for x in slow[0]] == [True]
@@ -86,7 +86,7 @@ def test_slow_answer_does_not_delay_samples_or_other_verbs(network: HubNetwork):
 def test_returned_function_ends_the_service(network: HubNetwork):
     with Hub.open(network.settings("a")) as a:
         stop = a.serve("verb", lambda _params: 1)
-        assert a.ask("verb", {})
+        assert a.ask("verb", {}, timeout=40.0)
         stop()
         stop()
         assert a.ask("verb", {}, timeout=0.5) == []

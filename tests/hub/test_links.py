@@ -118,8 +118,7 @@ def given_up(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hub]:
     monkeypatch.setattr(links, "_REMEMBERED_SECONDS", 0.5)
     with Hub.open(hubs.settings("one")) as hub:
         hubs.list_also("abcd")
-        until(lambda: "abcd" in hub.mesh.lost, "the unreachable session is searched for")
-        until(lambda: not hub.mesh.lost, "the search ends")
+        until(lambda: "abcd" in hub.mesh._unreachable and not hub.mesh.lost, "the search for the session has ended")
         yield hub
 
 

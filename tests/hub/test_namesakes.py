@@ -42,7 +42,7 @@ class Machine:
         self.hub.serve("status", lambda _params: {"number": number})
 
     def answers(self) -> list[WorkerAnswer]:
-        return self.hub.ask("status", {})
+        return self.hub.ask("status", {}, timeout=40.0)
 
     def warning(self) -> str:
         """Return the router's warning in its status document."""
@@ -61,6 +61,8 @@ class Machine:
 @pytest.fixture
 def stack(monkeypatch: pytest.MonkeyPatch) -> Iterator[ExitStack]:
     monkeypatch.setattr(namesakes, "_EVERY", 0.0)
+    for limit in ("namesakes._ANSWER_SECONDS", "namesakes._WHO_SECONDS", "router._ANSWER_SECONDS"):
+        monkeypatch.setattr(f"bridge.hub.{limit}", 40.0)  # no matter how slow the machine is
     with ExitStack() as stack:
         yield stack
 
@@ -152,12 +154,12 @@ class Daemon:
     def warning(self) -> str:
         """Return the router's warning: in standby, its state's text, otherwise from its status document."""
         text = self.router.health().text
-        documents = [a.value for a in self.hub.ask("status", {}, worker="router")]
+        documents = [a.value for a in self.hub.ask("status", {}, worker="router", timeout=40.0)]
         return "; ".join([text, *(warning for document in documents for warning in document["warnings"])])
 
     def numbers(self) -> dict[str, int]:
         """Return the numbers that the workers ``ros1`` report, by the distinct names of their daemons."""
-        answers = self.hub.ask("status", {})
+        answers = self.hub.ask("status", {}, timeout=40.0)
         names = DaemonNames(answers, self.hub.zid, [self.identity.instance])
         return {answer.daemon: answer.value["number"] for answer in names.apply(answers) if answer.worker == "ros1"}
 
@@ -181,7 +183,7 @@ def test_daemons_with_the_same_name_at_one_router_are_reported(
             numbers = until(lambda d=daemon: len(n := d.numbers()) == 2 and n, "both workers respond")
             own_number, other_number = {first: (1, 2), second: (2, 1)}[daemon]
             assert numbers == {"robot1": own_number, f"robot1 ({other.identity.place})": other_number}
-            answers = daemon.hub.ask("status", {}, daemon="robot1")
+            answers = daemon.hub.ask("status", {}, daemon="robot1", timeout=40.0)
             mine = own_answers(answers, daemon.hub.zid, daemon.identity)
             assert [answer.value["number"] for answer in mine if answer.worker == "ros1"] == [own_number]
         levels = [record.levelno for record in caplog.records if record.name == "bridge.hub.namesakes"]

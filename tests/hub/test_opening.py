@@ -58,6 +58,11 @@ def opened(monkeypatch: pytest.MonkeyPatch, reason: str = "") -> Opened:
     return stand_in
 
 
+def logged(caplog: pytest.LogCaptureFixture) -> list[logging.LogRecord]:
+    """Return the records of this module; threads of earlier tests may still log."""
+    return [record for record in caplog.records if record.name == opening.__name__]
+
+
 def test_session_opens_without_a_refused_segment(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -66,7 +71,7 @@ def test_session_opens_without_a_refused_segment(
         open_session(config())
         open_session(config())
     assert zenoh_open.switches == [True, False] * 2
-    (record,) = caplog.records
+    (record,) = logged(caplog)
     assert record.getMessage() == opening.trouble()
     assert "large messages go over the network link" in record.getMessage()
     assert "Unable to create POSIX shm segment: OS error 12" in record.getMessage()
@@ -89,7 +94,7 @@ def test_a_limit_of_locked_memory_is_logged_but_no_warning(
     with caplog.at_level(logging.INFO):
         open_session(config())
     assert zenoh_open.switches == [False]
-    assert [record.levelname for record in caplog.records] == ["INFO"]
+    assert [record.levelname for record in logged(caplog)] == ["INFO"]
     assert "this user may lock 8.4 MB of memory; then restart this worker ('kill PID' with the pid in" in caplog.text
     assert opening.trouble() == ""
 

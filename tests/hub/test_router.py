@@ -25,7 +25,8 @@ def router_config(endpoint: str, router: object = "auto", **more: object) -> Con
     return Config.model_validate({"name": "robot1", "hub": {"listen": endpoint, "router": router, **more}})
 
 
-def test_router_runs_and_reports_its_status():
+def test_router_runs_and_reports_its_status(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("bridge.hub.router._ANSWER_SECONDS", 40.0)  # no matter how slow the machine is
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     before = set(threading.enumerate())
     worker = RouterWorker()
@@ -34,10 +35,10 @@ def test_router_runs_and_reports_its_status():
         assert worker.health().state == "running"
         with Hub.open(HubNetwork(run=False).settings("a", router=endpoint)) as hub:
             until(lambda: hub.ask("status", {}, worker="router", timeout=0.5), "the router responds")
-            (answer,) = hub.ask("status", {}, worker="router")
+            (answer,) = hub.ask("status", {}, worker="router", timeout=40.0)
             assert answer.daemon == "robot1"
             check_document(answer.value, "router")
-            (clock,) = hub.ask("time", {}, worker="router")
+            (clock,) = hub.ask("time", {}, worker="router", timeout=40.0)
             assert abs(clock.value["time_ns"] - time.time_ns()) < 60e9, "for the doctor, also without sides"
             assert (answer.value["state"], answer.value["sessions"]) == ("running", 1)
             assert worker.health().text.startswith("1 session")
@@ -54,14 +55,14 @@ def test_probe_identifies_the_router():
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     assert probe_router(endpoint) is None
     with HubNetwork() as network:
-        router = probe_router(network.endpoint)
+        router = probe_router(network.endpoint, seconds=40.0)
         assert router is not None
         assert (router.mode, router.daemon, router.pid > 0) == ("router", "test", True)
     tree = session_tree(None, shared_memory=False, max_payload=MAX_PAYLOAD)
     for mode in ("router", "peer"):
         config = make_config(tree, {"mode": mode, "listen": {"endpoints": [endpoint]}})
         with open_router(config) as stranger:
-            assert probe_router(endpoint) == RouterInfo(endpoint, str(stranger.zid()), mode)
+            assert probe_router(endpoint, seconds=40.0) == RouterInfo(endpoint, str(stranger.zid()), mode)
 
 
 def test_a_second_router_is_refused_or_stands_by():
@@ -76,7 +77,7 @@ def test_a_second_router_is_refused_or_stands_by():
             assert (health.state, "daemon test" in health.text) == ("standby", True)
             network.stop_router()
             until(lambda: standby.health().state == "running", "the standby router takes over")
-            router = probe_router(network.endpoint)
+            router = probe_router(network.endpoint, seconds=40.0)
             assert router is not None
             assert router.daemon == "robot1"
         finally:
@@ -125,6 +126,8 @@ def test_session_opens_before_the_router_and_joins_it_later():
 def test_session_rejoins_a_restarted_router():
     with HubNetwork() as network, Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         see_each_other(a, b)
+        # until then, they may see each other only through the router
+        until(lambda: b.zid in a.neighbors() and a.zid in b.neighbors(), "the sessions have a direct link")
         subscriber = Subscriber(b, "/map", LATCHED)
         publisher = advertise(a, "/map", LATCHED, "one")
         subscriber.expect("one")

@@ -227,7 +227,7 @@ def test_closed_node_removes_only_its_own_endpoints(session: HubSession, far: Hu
     goes.close()
     until(lambda: {node.node for node in far.graph.nodes()} == {"stays", "far"}, "the closed node is gone")
     until(lambda: {end.node for end in far.graph.endpoints()} == {"stays"}, "the closed node's endpoints are gone")
-    assert [answer.value for answer in far.ask("verb", {})] == ["stays"]
+    assert [answer.value for answer in far.ask("verb", {}, timeout=40.0)] == ["stays"]
     Subscriber(far, "/t", LATCHED).expect("kept")
     speaker = advertise(far, "/u")
     matched(speaker)

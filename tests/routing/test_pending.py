@@ -298,7 +298,7 @@ class HubRoute:
         registry, self.network = Registry(), FakeNetwork()
         type_, lease = registry.ros2(STRING), Lease()
         lease.extend(math.inf)
-        self.dispatcher = Dispatcher("test-messages")  # not started: queued messages wait
+        self.dispatcher = Dispatcher("test-messages")  # queued messages wait until a test starts it
         policy = RoutePolicy(allowed=True, why="", name=TOPIC)
         self.hub, self._there, self._type_id = hub, there, type_.type_id
         self.route = HubToSideRoute(
@@ -335,6 +335,7 @@ def hub_route() -> Iterator[HubRoute]:
         route = HubRoute(hub, there)
         yield route
         route.route.close()
+        route.dispatcher.stop()
 
 
 def test_messages_of_a_hub_publisher_that_returns_are_retained_again(hub_route: HubRoute) -> None:
@@ -350,12 +351,12 @@ def test_messages_of_a_hub_publisher_that_returns_are_retained_again(hub_route: 
     until(lambda: sorted(network.retained()) == [line("1"), line("2")], "both messages are retained again")
     until(lambda: route.counters.messages >= 3, "the message is counted")  # after it is retained
     assert route.counters.messages == 3, "the other publisher's message is not repeated"
-    hub_route.dispatcher.stop()
 
 
 def test_message_with_an_invented_gid_is_retained_again_when_its_publisher_returns() -> None:
     with HubNetwork() as hubs, Hub.open(hubs.settings("here")) as hub:
         hub_route = HubRoute(hub, hub)
+        hub_route.dispatcher.start()  # for a message that arrives while this thread publishes
         route, network = hub_route.route, hub_route.network
         node = ReleaseNode(hubs.endpoint, hubs.domain, "sdk", JAZZY)
         publisher = ReleasePublisher(node, Topic(TOPIC, STRING, route.key.type_id, LATCHED))
@@ -369,12 +370,14 @@ def test_message_with_an_invented_gid_is_retained_again_when_its_publisher_retur
         route.update(endpoints, [])
         until(lambda: network.retained() == [line("1")], "the message is retained again")
         route.close()
+        hub_route.dispatcher.stop()
         node.close()
 
 
 def test_messages_published_during_an_absence_cross_once_and_in_order(hub_route: HubRoute) -> None:
     """Messages are held while their publisher waits or is not on the graph, and are also in the publisher's cache."""
     route = hub_route.route
+    hub_route.dispatcher.start()  # for a message that arrives while this thread publishes
     publisher, endpoint = hub_route.publisher(replace(LATCHED, depth=2), "1", "2")
     route.update([endpoint], [])
     hub_route.expect("1", "2")
@@ -407,6 +410,7 @@ def test_queued_message_of_a_publisher_that_returns_crosses_once(hub_route: HubR
 def test_held_message_crosses_once_though_a_new_subscription_receives_it_again(hub_route: HubRoute) -> None:
     """The route's first subscription is volatile, like its first publisher; the next one also gets the cache."""
     route = hub_route.route
+    hub_route.dispatcher.start()  # for a message that arrives while this thread publishes
     _, volatile = hub_route.publisher(Qos())
     latched, endpoint = hub_route.publisher(replace(LATCHED, depth=2))
     route.update([volatile], [], [endpoint])

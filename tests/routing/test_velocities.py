@@ -258,7 +258,7 @@ def test_a_rule_latches_no_velocity_on_a_side(side: Side, caplog: pytest.LogCapt
     side.base(CMD_VEL, TWIST)
     program = side.program(TWIST)
     until(lambda: arrived(side, program, TWIST, TWIST), "the velocity arrives on the side")
-    program.put(MESSAGES[TWIST][:-8] + bytes(8))
+    program.put(from_json(REGISTRY, TWIST, {}))  # zero, which is never too old, no matter how slow the machine is
     until(lambda: side.received[-1].endswith(bytes(8)), "the last velocity arrives, so that none arrives later")
     assert [qos.latched for qos in midspans(side, Kind.PUBLISHER)] == [False]
     assert side.network.retained() == []
@@ -314,4 +314,4 @@ def test_commands_exclude_other_messages_from_a_topic_with_one_queue(side: Side,
     until(lambda: arrived(side, programs[CMD_VEL], TWIST, TWIST), "the command arrives on the side")
     programs[CMD_VEL].close()
     until(lambda: [r.hub_topic for r in side.engine.routes()] == ["/recorded"], "without commands, the others pass")
-    assert side.refused() == []
+    until(lambda: not side.refused(), "the check that created the route refuses nothing")

@@ -75,19 +75,19 @@ def variants(graph: Graph) -> Iterator[KeyVariants]:
 
 def test_a_blocking_endpoint_does_not_delay_a_new_endpoint(graph: Graph, variants: KeyVariants) -> None:
     go_on, blocked = threading.Event(), threading.Event()
-    variants.add(slow := VariedEnd(lambda: (blocked.set(), go_on.wait(20.0))), TOKEN)
+    variants.add(slow := VariedEnd(lambda: (blocked.set(), go_on.wait(60.0))), TOKEN)
     graph.change()
     assert blocked.wait(20.0)
     quick = VariedEnd()
     adding = threading.Thread(target=variants.add, args=(quick, TOKEN))
     adding.start()
     try:
-        adding.join(5.0)
+        adding.join(40.0)
         assert quick.variants == [NO_HASH]
         variants.remove(slow)
     finally:
         go_on.set()
-        adding.join(5.0)
+        adding.join(40.0)
 
 
 def test_endpoint_that_fails_does_not_stop_the_others(
@@ -101,8 +101,8 @@ def test_endpoint_that_fails_does_not_stop_the_others(
     for end in ends:
         variants.add(end, TOKEN)
     graph.change()
-    until(lambda: ends[1].variants, "the second endpoint is updated", 5)
-    assert [record.getMessage() for record in caplog.records if record.levelname == "WARNING"] == [
+    until(lambda: ends[1].variants, "the second endpoint is updated")
+    assert [message for message in caplog.messages if message.startswith("/t: ")] == [
         "/t: cannot update the keys for other releases: cannot declare"
     ]
 
@@ -115,7 +115,7 @@ def test_publishing_does_not_wait_for_the_cached_samples_of_another_key(
     def slow(sink: LatchedSink, samples: Any) -> None:
         restore(sink, samples)
         restoring.set()
-        go_on.wait(20.0)
+        go_on.wait(60.0)
 
     monkeypatch.setattr(LatchedSink, "restore", slow)
     with Hub.open(network.settings("midspan")) as hub:
@@ -126,7 +126,7 @@ def test_publishing_does_not_wait_for_the_cached_samples_of_another_key(
             following.start()
             assert restoring.wait(20.0)
             putting.start()
-            putting.join(5.0)
+            putting.join(40.0)
             assert not putting.is_alive()
         finally:
             go_on.set()

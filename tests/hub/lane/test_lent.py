@@ -72,8 +72,9 @@ def test_a_block_is_mapped_once_and_shows_what_the_writer_writes(
 
 def test_a_new_mapping_does_not_stop_other_threads(writer: Writer, mapped: Mapped) -> None:
     """Python's mmap holds the interpreter's lock, for some milliseconds if it populates a large mapping."""
-    view = mapped.view(1, writer.block(bytes(1000 * KB)), 1000 * KB)
-    assert (len(view), populated("test")) == (1000 * KB, 0)
+    file = writer.block(bytes(1000 * KB))
+    view = mapped.view(1, file, 1000 * KB)
+    assert (len(view), populated(file)) == (1000 * KB, 0)
 
 
 def test_a_block_that_has_grown_is_mapped_again(writer: Writer, mapped: Mapped) -> None:

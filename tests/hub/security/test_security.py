@@ -74,7 +74,7 @@ def test_only_sessions_with_a_certificate_join_over_tls(certificates: Path):
         # this certificate is signed by an authority that the router does not trust
         with pytest.raises(HubError, match="cannot join the hub"):
             Hub.open(network.settings("c", zenoh=stranger))
-        probed = probe_router(network.endpoint, robot1)
+        probed = probe_router(network.endpoint, robot1, seconds=40.0)
         assert probed is not None
         assert probed.daemon == "test"
         assert probe_router(network.endpoint, stranger, seconds=0.5) is None

@@ -293,10 +293,11 @@ def test_latched_messages_reach_the_first_subscription_of_a_third_version_only_t
 ) -> None:
     worker, topic = relay(), Topics(FEEDBACK, replace(LATCHED, depth=3))
     nodes = [node(release) for release in (HUMBLE, JAZZY, LYRICAL)]
-    publisher, first = topic.publisher(nodes[0]), topic.subscription(nodes[1])
+    publisher = topic.publisher(nodes[0])
     cdr = ReleaseTypes(nodes[0]).encode(FEEDBACK, {"feedback": {"number_of_recoveries": 3}})
     for _ in range(5):
         publisher.put(cdr)
+    first = topic.subscription(nodes[1])  # after the messages, of which the relay could otherwise receive all five
     until(lambda: len(first.samples) == 3, "the first version is relayed")
     third = topic.subscription(nodes[2])
     until(lambda: len(worker.relay.topics()) == 1 and len(third.samples) == 3, "the third receives")
