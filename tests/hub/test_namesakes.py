@@ -41,8 +41,8 @@ class Machine:
         )
         self.hub.serve("status", lambda _params: {"number": number})
 
-    def answers(self) -> list[WorkerAnswer]:
-        return self.hub.ask("status", {}, timeout=40.0)
+    def answers(self, seconds: float = 2.0) -> list[WorkerAnswer]:
+        return self.hub.ask("status", {}, timeout=seconds)
 
     def warning(self) -> str:
         """Return the router's warning in its status document."""
@@ -62,7 +62,7 @@ class Machine:
 def stack(monkeypatch: pytest.MonkeyPatch) -> Iterator[ExitStack]:
     monkeypatch.setattr(namesakes, "_EVERY", 0.0)
     for limit in ("namesakes._ANSWER_SECONDS", "namesakes._WHO_SECONDS", "router._ANSWER_SECONDS"):
-        monkeypatch.setattr(f"bridge.hub.{limit}", 40.0)  # no matter how slow the machine is
+        monkeypatch.setattr(f"bridge.hub.{limit}", 20.0)  # no matter how slow the machine is
     with ExitStack() as stack:
         yield stack
 
@@ -91,7 +91,7 @@ def test_machines_with_the_same_name_are_reported_and_distinguished(
     lines = [record for record in caplog.records if record.name == "bridge.hub.namesakes"]
     assert [line.levelno for line in lines] == [logging.WARNING] * 2, "each router logs one line"
     for machine, number in ((first, 1), (second, 2)):
-        answers = distinct(machine.answers(), machine.hub.zid)
+        answers = distinct(machine.answers(40.0), machine.hub.zid)
         assert sorted(a.worker for a in answers if a.daemon == "robot1") == ["ros1", "router"]
         (own_number,) = [a.value["number"] for a in answers if a.worker == "ros1" and a.daemon == "robot1"]
         assert own_number == number
@@ -104,7 +104,7 @@ def test_machines_with_the_same_name_are_reported_and_distinguished(
 def test_machines_with_different_names_are_not_reported(stack: ExitStack) -> None:
     first, second = joined(stack, "robot1", "robot2")
     assert (first.warning(), second.warning()) == ("", "")
-    answers = first.answers()
+    answers = first.answers(40.0)
     assert distinct(answers, first.hub.zid) == answers
 
 
@@ -154,12 +154,12 @@ class Daemon:
     def warning(self) -> str:
         """Return the router's warning: in standby, its state's text, otherwise from its status document."""
         text = self.router.health().text
-        documents = [a.value for a in self.hub.ask("status", {}, worker="router", timeout=40.0)]
+        documents = [a.value for a in self.hub.ask("status", {}, worker="router", timeout=20.0)]
         return "; ".join([text, *(warning for document in documents for warning in document["warnings"])])
 
     def numbers(self) -> dict[str, int]:
         """Return the numbers that the workers ``ros1`` report, by the distinct names of their daemons."""
-        answers = self.hub.ask("status", {}, timeout=40.0)
+        answers = self.hub.ask("status", {}, timeout=20.0)
         names = DaemonNames(answers, self.hub.zid, [self.identity.instance])
         return {answer.daemon: answer.value["number"] for answer in names.apply(answers) if answer.worker == "ros1"}
 

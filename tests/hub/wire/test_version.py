@@ -91,7 +91,7 @@ def test_only_answers_of_a_compatible_wire_version_are_accepted(network: HubNetw
             query.reply(f"{key}/{verb}", json.dumps({"value": 7, "more": 8, **answers[verb]}))
 
         kept = [program.declare_queryable(f"{key}/{verb}", answer, complete=True) for verb in answers]
-        until(lambda: hub.ask("none", {}, timeout=40.0), "the session responds")
+        until(lambda: hub.ask("none", {}), "the session responds")
         assert [(a.value, a.error) for a in hub.ask("none", {}, timeout=40.0)] == [(7, "")]
         assert [(a.value, a.error) for a in hub.ask("later", {}, timeout=40.0)] == [(7, "")]
         (refused,) = hub.ask("next", {}, timeout=40.0)
