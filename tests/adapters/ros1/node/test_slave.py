@@ -144,7 +144,7 @@ def test_a_plain_node_that_cannot_listen_for_the_slave_api_closes_its_other_sock
         PlainNode("/plain", MASTER, NodeAddress("127.0.0.1", "127.0.0.1", False), events, label="unlistening")
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection(listening[0], 20).close()
-    assert not [thread.name for thread in threading.enumerate() if thread.name.startswith("unlistening")]
+    until(lambda: not [t for t in threading.enumerate() if t.name.startswith("unlistening")], "its thread ends")
 
 
 def test_the_slave_api_returns_process_id_master_name_and_uri(node: Node) -> None:
