@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
+from bridge.adapters.ros1.parameters import store as store_module
 from bridge.adapters.ros1.parameters.follower import ParameterSharing
 from bridge.adapters.ros1.parameters.store import ParameterServer
 from bridge.config.sections.routing import ParameterRule
@@ -13,6 +14,12 @@ from bridge.hub.node import Hub
 from tests.peers.hub.network import HubNetwork
 from tests.peers.ros1.network import RosMaster
 from tests.peers.ros1.parameters import PERIOD, REGISTRY, RecordingServer, Share
+
+
+@pytest.fixture(autouse=True)
+def _patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a stop wait for the master, which may respond late on a busy machine; otherwise copies stay there."""
+    monkeypatch.setattr(store_module, "_STOP_TIMEOUT", 4.0)
 
 
 @pytest.fixture(scope="module")
