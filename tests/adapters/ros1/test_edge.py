@@ -172,7 +172,8 @@ def test_a_custom_type_is_bridged_in_both_directions(master, edge):
         md5 = peer.ask("define", type="my_pkg/Thing", definition=THING)["md5"]
         out = peer.advertise("/thing/in", "my_pkg/Thing", latched=True)
         peer.publish(out, A_THING)
-        endpoint = edge.endpoint(topic="/thing/in", made_by="native")
+        # a message that arrives before rospy enables latching arrives again when the publisher is known to latch
+        endpoint = edge.endpoint(topic="/thing/in", made_by="native", latched=True)
         assert (endpoint["type"], endpoint["type_id"]) == ("my_pkg/Thing", md5)
         assert "my_pkg/Inner[] inner" in endpoint["definition"]
         assert "MSG: my_pkg/Inner" in endpoint["definition"]
@@ -262,6 +263,8 @@ def test_messages_published_by_a_midspan_are_not_bridged_back(master, edge, tmp_
         assert endpoint["type"] == "std_msgs/String"
         native = peer.advertise("/loop", "std_msgs/String", latched=True)
         peer.publish(native, {"data": "native"})
+        for e in (edge, second):  # a message that arrives before rospy enables latching arrives again afterwards
+            e.endpoint(topic="/loop", made_by="native", latched=True)
         inboxes = [(e, e.open("/loop", "std_msgs/String")) for e in (edge, second)]
         for e, inbox in inboxes:
             assert [text(p) for p, _ in e.received(inbox, 1)] == ["native"]
@@ -404,7 +407,8 @@ def test_a_killed_publisher_is_no_longer_native(master, edge):
     with master.peer("killed") as peer:
         out = peer.advertise("/killed", "std_msgs/String", latched=True)
         peer.publish(out, {"data": "back"})
-        assert [text(p) for p, _ in edge.received(inbox, 1)] == ["back"]
+        # a message that arrives before rospy enables latching arrives again when the publisher is known to latch
+        assert {text(p) for p, _ in edge.received(inbox, 1)} == {"back"}
         edge.endpoint(topic="/killed", made_by="native")
 
 
