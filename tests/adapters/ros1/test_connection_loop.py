@@ -212,7 +212,7 @@ def test_the_loop_stops_while_messages_arrive(crowd: Crowd, monkeypatch: pytest.
 
     monkeypatch.setattr(crowd.loop, "wake", slow)
     crowd.loop.stop()
-    assert not thread.is_alive()
+    until(lambda: not thread.is_alive(), "the thread ends")
 
 
 def test_a_connection_that_is_closed_at_its_start_does_not_affect_others(
@@ -252,7 +252,7 @@ def test_data_after_the_end_is_not_read(crowd: Crowd) -> None:
     crowd.loop.stop()
     crowd.loop.stop()
     late = crowd.add()
-    assert [reader.done for reader in crowd.readers] == [True, True]
+    until(lambda: [reader.done for reader in crowd.readers] == [True, True], "the loop has abandoned both connections")
     assert late.recv(1) == b"", "the late connection is closed"
     assert not crowd.ended
 
