@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import gc
+import itertools
 import os
 import select
 import socket
@@ -55,8 +56,8 @@ def test_a_wait_ends_after_its_time_although_messages_keep_arriving(desk: Desk) 
     publisher = desk.publisher(lambda payload: publisher.send(payload))
     publisher.send(b"again")
     begin = time.monotonic()
-    assert desk.intake.wait(0.05) == []
-    assert 0.05 <= time.monotonic() - begin < 10.0
+    assert desk.intake.wait(1.0) == []
+    assert 1.0 <= time.monotonic() - begin < 11.0
     assert publisher.stream.messages > 10
 
 
@@ -263,9 +264,10 @@ def test_messages_do_not_leak(desk: Desk) -> None:
         return sys.getallocatedblocks()
 
     send(1000)
-    before = send(1000)
-    assert send(10_000) - before < 100
-    assert publisher.stream.messages == 12_000
+    blocks = [send(count) for count in (1000, *[10_000] * 4)]
+    # each part would leak as much; other threads of the process allocate now and then
+    assert min(after - before for before, after in itertools.pairwise(blocks)) < 100
+    assert publisher.stream.messages == 42_000
 
 
 def owner_of(make: Callable[[Any], object]) -> weakref.ref:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import itertools
 import sys
 import weakref
 from collections.abc import Iterator
@@ -172,7 +173,7 @@ def test_the_newest_publication_of_an_exit_sends(talker: Talker) -> None:
 def test_nothing_leaks_over_many_messages(talker: Talker) -> None:
     slow, connection = talker.listen(slow=True)
     counts = []
-    for _ in range(2):
+    for _ in range(4):
         for _ in range(100):
             sent = cut(talker, connection, lambda _: bytes(1000))
             slow.read(1004 * len(sent))
@@ -182,7 +183,8 @@ def test_nothing_leaks_over_many_messages(talker: Talker) -> None:
             slow.message()
         gc.collect()
         counts.append(sys.getallocatedblocks())
-    assert counts[1] - counts[0] < 500
+    # each part would leak as much; other threads of the process allocate now and then
+    assert min(after - before for before, after in itertools.pairwise(counts)) < 500
 
 
 def test_a_cycle_of_sockets_and_outputs_is_collected() -> None:
