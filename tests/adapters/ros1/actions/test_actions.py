@@ -258,6 +258,8 @@ def test_a_returning_server_is_discovered_by_its_connection(tmp_path):
 def test_a_result_that_was_lost_has_the_state_of_the_list(master, edge, servers, clients):
     """The goal ended while no subscription of the edge was connected, and results are not latched."""
     peer, native = servers, clients
+    # the server lists an ended goal for 5 s by default, in which the edge may not have read the list yet
+    master.call("setParam", "/lost/status_list_timeout", 60.0)
     server = peer.ask("server", name="/lost")["id"]
     client = native.ask("client", name="/lost")["id"]
     assert native.ask("wait_for_server", id=client)["there"]

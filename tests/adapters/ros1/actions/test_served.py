@@ -157,7 +157,7 @@ def test_goals_end_when_their_hub_server_leaves(master, edge, clients):
     act.hub.close()
     outcome = act.done(1)
     assert (outcome["state"], outcome["text"]) == (Ros1State.ABORTED, "the action server left")
-    assert edge.ask("calls", id=abandoned)["abandoned"] == [0]
+    until(lambda: edge.ask("calls", id=abandoned)["abandoned"] == [0], "the call is abandoned", SECONDS)
     again = HubServer(edge, "/gone")
     assert peer.ask("wait_for_server", id=act.id, seconds=SECONDS)["there"]
 
