@@ -92,6 +92,7 @@ def test_a_new_subscribers_update_is_repeated_with_the_current_publishers(
     master: ApiUnderTest, monkeypatch: pytest.MonkeyPatch
 ):
     """The update may overtake the reply to the subscriber's registration."""
+    monkeypatch.setattr(api, "NEW_SECONDS", 600.0)  # this process may stand still for some seconds
     master.call("registerPublisher", "/early", "t", STRING, A)
     master.call("registerSubscriber", "/sub", "t", "*", B)
     assert master.outbox.delayed == [], "the reply contains all publishers"
@@ -136,6 +137,7 @@ def test_a_node_that_is_replaced_is_shut_down_and_loses_its_registrations(master
 def test_one_of_two_nodes_with_the_same_name_that_start_together_remains(
     master: ApiUnderTest, monkeypatch: pytest.MonkeyPatch
 ):
+    monkeypatch.setattr(api, "REPLACED_SECONDS", 600.0)  # this process may stand still for some seconds
     master.call("registerPublisher", "/node", "/rosout", STRING, A)
     master.call("registerPublisher", "/node", "/rosout", STRING, B)
     shutdown = (A, "shutdown", "/node", "new node registered with same name")

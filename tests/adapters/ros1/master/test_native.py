@@ -51,6 +51,16 @@ class Network:
         """Ping a node until it answers; rosnode waits only three seconds."""
         until(lambda: "xmlrpc reply from" in self.tool("rosnode", "ping", "-c", "1", node), f"{node} answers")
 
+    def info(self, node: str) -> str:
+        """Describe a node once it answers; rosnode waits only five seconds."""
+
+        def described() -> str:
+            with contextlib.suppress(AssertionError):
+                return self.tool("rosnode", "info", node)
+            return ""
+
+        return until(described, f"{node} answers")
+
     def close(self) -> None:
         self.master.close()
 
@@ -77,7 +87,7 @@ def talker(network: Network) -> Iterator[Peer]:
 
 def test_rosnode_lists_describes_and_pings_nodes(network: Network, talker: Peer):
     assert "/talker" in network.tool("rosnode", "list").split()
-    info = network.tool("rosnode", "info", "/talker")
+    info = network.info("/talker")
     for part in ("* /chatter [std_msgs/String]", "* /words", "* /toggle", "Pid:"):
         assert part in info
     network.until_ping("/talker")
@@ -210,7 +220,7 @@ def test_logs_are_collected(network: Network, talker: Peer):
         late = network.peer("late")
         until(lambda: _relayed(late, listener, logs, "from a late node"), "a later node's log is published, too")
         late.stop()
-        info = network.tool("rosnode", "info", "/rosout")
+        info = network.info("/rosout")
         for part in ("* /rosout_agg [rosgraph_msgs/Log]", "* /rosout", "to: /collector", "to: /talker"):
             assert part in info
     finally:
@@ -264,10 +274,11 @@ def test_roslaunch_sets_parameters_and_starts_nodes(network: Network, tmp_path: 
         '<launch><param name="/launched/x" value="5"/><rosparam param="/launched/list">[1, 2]</rosparam>'
         '<node pkg="rosout" type="rosout" name="launched"/></launch>'
     )
-    with Process(["/usr/bin/roslaunch", str(file)], network.env):
+    with Process(["/usr/bin/roslaunch", str(file)], network.env) as process:
         until(lambda: "/launched" in network.master.nodes(), "the launched node registers")
         assert network.master.api.parameters.get("/launched") == {"x": 5, "list": [1, 2]}
-    until(lambda: "/launched" not in network.master.nodes(), "the launched node has unregistered")
+        process.signal(signal.SIGINT)  # before the end of the block, which kills roslaunch after some seconds
+        until(lambda: "/launched" not in network.master.nodes(), "the launched node has unregistered")
 
 
 def test_a_killed_node_is_removed_and_its_subscribers_learn_of_it(tmp_path: Path):
