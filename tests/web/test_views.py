@@ -105,7 +105,7 @@ def test_the_feeds_and_verbs_of_the_documentation_work(
     monkeypatch.setattr("bridge.web.worker.all_views", lambda: (*views.all_views(), view))
     desk.open_with()
     console, watcher = desk.console, Watcher()
-    assert console.verbs.begin("dock", {"on": True}, "test").result(5) == "docking: True"
+    assert console.verbs.begin("dock", {"on": True}, "test").result(40) == "docking: True"
     loop = console.host.loop
     loop.call(lambda: console.feeds.find("charge").watch(watcher))
     out = desk.far.advertise("/battery_state", BATTERY, depth=1)
