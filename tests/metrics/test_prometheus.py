@@ -227,7 +227,7 @@ def test_a_hanging_worker_is_reported_and_delays_nothing(deployment: ScrapedDepl
             9,
         )
         took = next(float(line.split()[1]) for line in text.splitlines() if line.startswith("midspan_ask_duration"))
-        assert 0.9 < took < 3.0
+        assert 0.9 < took < 9.0, "the scrape does not wait until the worker is replaced"
         assert 'midspan_worker_resident_memory_bytes{worker="modules"}' in text, "its memory is read from the system"
     finally:
         with contextlib.suppress(ProcessLookupError):  # on a busy machine, the daemon may have replaced the process

@@ -54,13 +54,15 @@ def config(tmp_path: Path) -> Config:
 
 
 @pytest.fixture
-def daemon(config: Config) -> Iterator[Daemon]:
+def daemon(config: Config, monkeypatch: pytest.MonkeyPatch) -> Iterator[Daemon]:
+    monkeypatch.setattr(source, "_DAEMON_SECONDS", 20.0)  # its thread may not run for 0.5 s
     server = Daemon(config)
     yield server
     server.close()
 
 
-def test_concurrent_callers_share_one_query(config: Config) -> None:
+def test_concurrent_callers_share_one_query(config: Config, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(source, "FRESH_SECONDS", 60.0)  # a thread may begin late on a busy machine
     queries, proceed = [], threading.Event()
 
     def ask() -> list[WorkerAnswer]:
