@@ -173,7 +173,8 @@ def test_parameters_are_set_with_their_nodes_type(desk: Desk, monkeypatch: pytes
 def test_a_client_may_set_a_parameter_that_nobody_has_read(desk: Desk) -> None:
     desk.open_with(**DRIVE)
     node = Node(desk, "/base", VALUES)
-    until(lambda: desk.live.host.node.hub.graph.servers("/base/list_parameters"), "the node is known")
+    graph = desk.live.host.node.hub.graph
+    until(lambda: graph.servers("/base/set_parameters"), "all services of the node are known, this one last")
     with desk.app() as app:
         app.send(op="setParameters", parameters=[{"name": "/base.count", "value": 5}], id="w")
         app.until(lambda: node.values["count"].content == 5, "the parameter is set")
