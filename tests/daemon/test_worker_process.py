@@ -155,7 +155,7 @@ def test_end_of_input_stops_even_a_hanging_worker(daemon: Daemon, supervised: Su
     daemon.order("ros1", "hang")
     until(lambda: daemon.events("ros1", "hang"), "the worker hangs")
     supervised.end_of_input()
-    assert supervised.popen.wait(15) == 1
+    assert supervised.popen.wait(40) == 1
 
 
 def test_a_worker_reports_whether_a_reload_needs_a_restart(daemon: Daemon, supervised: Supervised) -> None:
@@ -410,7 +410,7 @@ class Reporting(Worker):
 
 
 def test_heartbeats_are_rarer_if_the_text_does_not_change(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(protocol, "QUIET_INTERVAL", 4.0)
+    monkeypatch.setattr(protocol, "QUIET_INTERVAL", 8.0)
     monkeypatch.setattr(worker_main, "until_tick", lambda period: period)
     commands, at = Commands(), list[float]()
     texts = ["one", "two", "two", "three"]
@@ -422,8 +422,8 @@ def test_heartbeats_are_rarer_if_the_text_does_not_change(monkeypatch: pytest.Mo
 
     worker_main.WorkerLoop(Reporting(texts), commands, report).run(Config())
     first, second, third = (later - earlier for earlier, later in itertools.pairwise(at))
-    assert max(first, second) < 4.0, "after a new text, the next report follows soon"
-    assert third > 3.5, (
+    assert max(first, second) < 8.0, "after a new text, the next report follows soon"
+    assert third > 7.5, (
         "after a repeated text, the next report waits for the quiet interval, which begins before the report is written"
     )
 

@@ -278,8 +278,13 @@ def test_a_broken_file_does_not_hide_a_daemon_that_runs_regardless(start: Start,
     robot.file.write_text(f"{good}{broken}\n")
     assert robot.command("reload").returncode == 1
     robot.daemon.signal(signal.SIGHUP)
-    refused = f"{robot.file}:"
-    until(lambda: refused in ask_daemon(load_partly(robot.file)).refused, "the daemon has refused the file", 20)
+
+    def is_refused() -> bool:
+        """Return whether the daemon has refused the file; a busy daemon may not answer in time."""
+        status = ask_daemon(load_partly(robot.file), 20.0)
+        return status is not None and f"{robot.file}:" in status.refused
+
+    until(is_refused, "the daemon has refused the file", 20)
     for words in (["status"], ["top", "--once"], ["explain", "/scan"], ["nav", "status"]):
         done = robot.command(*words)
         assert done.stderr.count("the rest of the file is used") == 1, done
