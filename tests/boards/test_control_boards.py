@@ -95,8 +95,8 @@ def test_joints_moving_at_a_connection_loss_are_stopped_on_reconnect(robot: Robo
         robot.command(name=["joint0"], velocity=[1.0])
         return robot.speeds[0] != 0.0
 
-    module: Any = robot.worker.running("control_boards").module
-    (link,) = module._links
+    boards: Any = robot.worker.running("control_boards").module
+    (link,) = boards._links
     # the velocity must not expire before the loss, even if this test stands still meanwhile
     link._section = link._section.model_copy(update={"timeout": 5.0})
     until(repeat_command, "the joint moves", every=0.05)
