@@ -215,6 +215,6 @@ def test_a_custom_profile_without_room_is_reported(
     monkeypatch.setattr(fast, "Participant", lambda *_: None)
     dds = fast.FastDds(Config.model_validate({"ros2": {"profile": str(custom)}}))
     dds.join(tmp_path, "midspan")
-    (record,) = caplog.records
+    (record,) = (record for record in caplog.records if record.name == fast.__name__)
     assert str(custom) in record.getMessage()
     assert dds.warnings([], []) == [record.getMessage()]

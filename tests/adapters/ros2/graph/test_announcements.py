@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import pytest
 
 from bridge.adapters.ros2.graph import spdp
 from bridge.adapters.ros2.graph.announcements import Announcement, Announcements, parse
-from bridge.concurrency import DelayedCalls
 from tests.adapters.ros2.conftest import RunningEdge
+from tests.adapters.ros2.graph.test_interfaces import Calls
 from tests.peers.peer import Peer
 from tests.peers.ros2.cyclone import CyclonePeer
 from tests.peers.ros2.network import new_domain
@@ -64,17 +64,10 @@ def test_other_messages_are_not_announcements() -> None:
     assert parse(spdp.announcement(FAST, 0, 1, 7999)) == Announcement(FAST, "")
 
 
-@pytest.fixture
-def later() -> Iterator[DelayedCalls]:
-    thread = DelayedCalls("test-later")
-    yield thread
-    thread.close()
-
-
-def test_a_silent_participant_is_prompted_a_few_times(later: DelayedCalls) -> None:
+def test_a_silent_participant_is_prompted_a_few_times() -> None:
     prompts: list[int] = []
     domain = new_domain()
-    listener = Announcements(CONNEXT, domain, lambda: frozenset({FAST}), prompts.append, later, localhost_only=True)
+    listener = Announcements(CONNEXT, domain, lambda: frozenset({FAST}), prompts.append, Calls(), localhost_only=True)
     try:
         for _ in range(5):
             listener._poll()

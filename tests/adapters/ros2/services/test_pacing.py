@@ -5,18 +5,19 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import time
+from types import SimpleNamespace
 
 import pytest
 
 from bridge.adapters.ros2.graph import neighbors
 from bridge.adapters.ros2.graph.neighbors import ProcessWatch
+from bridge.adapters.ros2.services import pacing
 from bridge.adapters.ros2.services.pacing import PATIENCE, ROOM, SentRequests
 
 
 def test_requests_wait_for_replies(monkeypatch: pytest.MonkeyPatch) -> None:
     now = [100.0]
-    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(pacing, "time", SimpleNamespace(monotonic=lambda: now[0]))
     requests = SentRequests()
     for number in range(1, ROOM + 1):
         assert requests.wait() == 0

@@ -208,9 +208,10 @@ def test_a_native_client_receives_replies(edge: RunningEdge, peer: Peers, set_bo
 
 
 def test_the_last_replies_of_a_closing_server_reach_its_clients(
-    edge: RunningEdge, peer: Peers, set_bool: Service
+    edge: RunningEdge, peer: Peers, set_bool: Service, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The event that ends the call (its server on the hub dies) also closes the server on DDS."""
+    monkeypatch.setattr(server_module, "_LINGER", 20.0)  # the client may stall before it reads the reply
     native, last = peer(), set_bool.response(message="last reply")
     servers = []
     for number in range(20):
