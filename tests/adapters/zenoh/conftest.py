@@ -15,7 +15,7 @@ from tests.contract.zenohside import PERIOD, ZenohBridge
 from tests.peers.hub.node import HubNode
 from tests.peers.hub.rig import HubRig
 from tests.peers.zenoh.actions import TEXTS
-from tests.peers.zenoh.programs import JsonProgram, Ros1Bridge, Ros2ddsBridge, Router, service_texts
+from tests.peers.zenoh.programs import JsonProgram, Program, Ros1Bridge, Ros2ddsBridge, Router, service_texts
 from tests.support.rosbags_messages import Messages
 from tests.support.wait import until
 
@@ -96,6 +96,11 @@ def place(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Place]:
     monkeypatch.setattr(edge, "TICK", 0.05)
     with Place(tmp_path) as place:
         yield place
+
+
+def until_linked(program: Program, sessions: int = 1) -> None:
+    """Wait until zenoh has linked a program to other sessions directly; meanwhile it may lose a message or a query."""
+    until(lambda: len(program.session.info.peers_zid()) >= sessions, f"it is linked to {sessions} other sessions")
 
 
 def cross(sender: Any, out: int, hearer: Any, heard: int, message: dict[str, Any]) -> Any:

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from bridge.hub.wire.qos import LATCHED, Qos
-from tests.adapters.zenoh.conftest import ROS2, Place
+from tests.adapters.zenoh.conftest import ROS2, Place, until_linked
 from tests.peers.zenoh.actions import SUCCEEDED, ActionClient
 from tests.peers.zenoh.programs import Ros1Bridge, Ros2ddsBridge
 from tests.peers.zenoh.releases import (
@@ -49,6 +49,8 @@ def twists(received: ReleaseSubscription) -> list[float]:
 
 def test_topics_from_humble_reach_each_dialect_once(place: Place, humble: ReleaseNode) -> None:
     dialects: dict[str, Ros2ddsBridge | Ros1Bridge] = {"ros2dds": place.ros2dds(), "ros1": place.ros1()}
+    for program in dialects.values():
+        until_linked(program, 3)  # the two dialects and the other program
     received = {name: program.subscribe("/speed", SPEED) for name, program in dialects.items()}
     publisher = ReleasePublisher(humble, Topic("/speed", "geometry_msgs/msg/Twist", "unused", Qos(depth=1)))
     for name, program in dialects.items():
@@ -76,6 +78,7 @@ def test_topics_from_humble_reach_each_dialect_once(place: Place, humble: Releas
 
 def test_topics_of_a_dialect_reach_humble_and_jazzy_once(place: Place, humble: ReleaseNode) -> None:
     bridge = place.ros2dds()
+    until_linked(bridge, 2)
     type_hash = ROS2.type_id(SPEED)
     jazzy = ReleaseNode(place.hubs.endpoint, 0, "jazzy", JAZZY)
     topic = Topic("/speed", "geometry_msgs/msg/Twist", type_hash, Qos(depth=1))

@@ -15,7 +15,7 @@ from bridge.adapters.zenoh.ros1 import SETTLE, Ros1KeysEdge
 from bridge.adapters.zenoh.ros1_discovery import Aloha, AnnouncedTopic, data_key, discovery_key, parse
 from bridge.hub.errors import HubWireError
 from bridge.routing.edge import Kind
-from tests.adapters.zenoh.conftest import Place, cross
+from tests.adapters.zenoh.conftest import Place, cross, until_linked
 from tests.contract.zenohside import PERIOD
 from tests.peers.zenoh.programs import Beacon, open_session
 from tests.support.wait import until
@@ -174,6 +174,7 @@ def cross_latched(place: Place) -> None:
 def test_a_latched_message_is_republished_for_the_first_subscriber_and_for_another_bridge(place: Place) -> None:
     cross_latched(place)
     first = place.ros1()
+    until_linked(first)
     subscription = first.subscribe("/state", STRING)
     assert first.wait(subscription, 1)[:1] == [{"data": "kept"}]
     # A beacon is lost if its session is not linked to Midspan yet, and the plugin may not send another one. The wait
@@ -199,12 +200,14 @@ def test_a_latched_message_is_republished_for_the_first_subscriber_and_for_anoth
 def test_a_subscriber_without_beacon_does_not_deprive_another_of_latched_messages(place: Place) -> None:
     cross_latched(place)
     mute = place.ros1()
+    until_linked(mute)
     received = threading.Event()
     callback = zenoh.handlers.Callback(lambda _sample: received.set())
     mute.session.declare_subscriber(mute.key("/state", STRING), callback)
     assert received.wait(40)
     time.sleep(SETTLE)  # until the next subscriber no longer counts as the first
     second = place.ros1()
+    until_linked(second, 2)
     assert second.wait(second.subscribe("/state", STRING), 1)[:1] == [{"data": "kept"}]
 
 
@@ -265,6 +268,7 @@ def test_keys_beacons_requests_and_replies_of_services_are_exact(place: Place) -
     set_bool, trigger, yes = "std_srvs/SetBool", "std_srvs/Trigger", {"success": True, "message": "hi"}
     bridge, named = place.ros1(), place.ros1("robot1")
     place.bridge({"dialect": "ros1"})
+    until_linked(bridge, 2)
     served = bridge.ask("serve", service="/in", type=trigger, reply=yes)["id"]
     assert place.far.call("/in", trigger).result()["reply"] == yes
     key = "7374645f737276732f54726967676572/937c9679a518e3a18d831e57125ea522/*/in"

@@ -14,7 +14,7 @@ from bridge.adapters.zenoh.ros2dds_tokens import Token, action_key, parse, token
 from bridge.hub.errors import HubWireError
 from bridge.hub.wire.qos import Durability, History, Qos, Reliability
 from bridge.routing.edge import Kind
-from tests.adapters.zenoh.conftest import ROS2, Place, cross
+from tests.adapters.zenoh.conftest import ROS2, Place, cross, until_linked
 from tests.peers.zenoh.programs import open_session
 from tests.support.wait import until
 
@@ -159,6 +159,7 @@ def test_the_history_of_a_deep_publisher_arrives_complete_and_in_order(place: Pl
     for number in range(20):
         bridge.publish(out, {"data": str(number)})
     place.bridge({"dialect": "ros2dds"})
+    until_linked(bridge)
     place.far.until_published("/log")
     until(lambda: (place.route(SIDE, "/log", "in") or {}).get("messages", 0) >= 5, "the history has arrived", every=0.1)
     subscription = place.far.subscribe("/log", STRING, latched=True)

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from bridge.messages.actions import GoalState
-from tests.adapters.zenoh.conftest import Place
+from tests.adapters.zenoh.conftest import Place, until_linked
 from tests.peers.zenoh.actions import ACTION, CANCELED, SUCCEEDED, ActionClient, ActionServer
 from tests.support.wait import until
 
@@ -39,6 +39,7 @@ def test_goals_of_the_hub_reach_a_server_behind_a_bridge(place: Place) -> None:
     bridge = place.ros2dds()
     server = ActionServer(bridge, "/lookup")
     place.bridge({"dialect": "ros2dds"})
+    until_linked(bridge)
     sent = Sent(place)
     token = until(lambda: bridge.tokens("/lookup", "AC"), "Midspan's token arrives")[0]
     assert token == f"@/{token.split('/')[1]}/@ros2_lv/AC/lookup/tf2_msgs§action§LookupTransform"
@@ -63,6 +64,7 @@ def test_a_goal_is_canceled_at_a_server_behind_a_bridge(place: Place) -> None:
     bridge = place.ros2dds()
     server = ActionServer(bridge, "/lookup")
     place.bridge({"dialect": "ros2dds"})
+    until_linked(bridge)
     sent = Sent(place)
     goal_info = {"goal_id": server.goal()["goal_id"]}
     server.cancel_goal.reply = {"goals_canceling": [goal_info]}
@@ -80,6 +82,7 @@ def test_a_server_that_leaves_ends_its_goals(place: Place, end: str, caplog: pyt
     bridge = place.ros2dds()
     server = ActionServer(bridge, "/lookup")
     place.bridge({"dialect": "ros2dds"})
+    until_linked(bridge)
     sent = Sent(place)
     assert server.get_result.requests(), "the goal has arrived"
     server.close()

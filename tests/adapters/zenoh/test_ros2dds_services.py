@@ -10,7 +10,7 @@ import zenoh
 
 from bridge.hub.node import Hub
 from bridge.messages.registry import Registry
-from tests.adapters.zenoh.conftest import Place
+from tests.adapters.zenoh.conftest import Place, until_linked
 from tests.contract.hubside import HubSide
 from tests.peers.hub.quick import QuickHub
 from tests.peers.zenoh.programs import Ros2ddsBridge
@@ -25,7 +25,7 @@ REPLY = bytes.fromhex("00010000 01000000 04000000 79657300")
 
 def until_called(bridge: Ros2ddsBridge, service: str, type_: str = SET) -> None:
     """Call a hub server until it replies, because its token arrives shortly before zenoh can route queries to it."""
-    until(bridge.session.info.peers_zid, "the bridge is linked to Midspan directly")  # a query may be lost meanwhile
+    until_linked(bridge)
     request = {"data": True} if type_ == SET else {}
     until(lambda: bridge.call(service, type_, request).result()["reply"] == YES, "the server replies", every=0.1)
 
@@ -77,6 +77,7 @@ def test_a_bridge_receives_the_token_and_the_request_id_of_another_bridge(place:
     bridge = place.ros2dds()
     served = bridge.ask("serve", service="/do", type=SET, reply=YES)["id"]
     place.bridge({"dialect": "ros2dds"})
+    until_linked(bridge)
     assert place.far.call("/do", SET, data=True).result()["reply"] == YES
     assert place.far.call("/do", SET, data=False).result()["reply"] == YES
     token = until(lambda: bridge.tokens("/do", "SC"), "Midspan's token arrives")[0]
@@ -105,6 +106,7 @@ def test_invalid_replies_and_error_replies_are_errors_for_the_client(place: Plac
     queryable = bridge.session.declare_queryable("do", zenoh.handlers.Callback(answer, indirect=False))
     token = bridge.declare_token("SS", "/do", "std_srvs/srv/SetBool")
     place.bridge({"dialect": "ros2dds"})
+    until_linked(bridge)
     assert place.far.call("/do", SET).result()["error"] == "the arm is stuck"
     for _ in range(2):
         assert "the reply does not match its type" in place.far.call("/do", SET).result()["error"]
@@ -120,6 +122,7 @@ def test_a_hundred_held_calls_delay_no_others(place: Place, dialect: str) -> Non
     """The calls run in both directions; held calls do not delay the replies to others."""
     bridge = place.ros2dds() if dialect == "ros2dds" else place.ros1()
     place.bridge({"dialect": dialect})
+    until_linked(bridge)
     slow = bridge.ask("serve", service="/slow", type=SET, reply=YES, held=True)["id"]
     bridge.ask("serve", service="/quick", type=SET, reply=YES)
     pending = [place.far.call("/slow", SET, data=True) for _ in range(100)]

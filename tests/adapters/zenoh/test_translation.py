@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from tests.adapters.zenoh.conftest import Place
+from tests.adapters.zenoh.conftest import Place, until_linked
 from tests.support.wait import until
 
 MESSAGES: dict[str, tuple[str, dict[str, Any]]] = {
@@ -76,7 +76,10 @@ def ends(place: Place) -> dict[str, Any]:
         for name, (type_, _) in MESSAGES.items()
     ]
     place.bridge({"dialect": "ros2dds"}, {"dialect": "ros1", "latched": ["/*_map"]}, {"dialect": "json", "keys": keys})
-    return {"hub": place.far, "ros2dds": place.ros2dds(), "ros1": place.ros1(), "json": place.json()}
+    programs = {"ros2dds": place.ros2dds(), "ros1": place.ros1(), "json": place.json()}
+    for program in programs.values():
+        until_linked(program, 5)  # the three dialects and the two other programs
+    return {"hub": place.far, **programs}
 
 
 def test_messages_cross_between_every_pair(ends: dict[str, Any]) -> None:
