@@ -24,16 +24,17 @@ class AnnouncedAddress:
 
     def check(self, host: str) -> None:
         """Check the announced address again; the resolution of a host name is not checked."""
-        before, self.trouble = self.trouble, ""
+        before, now = self.trouble, ""
         if _is_lost(host):
-            self.trouble = (
+            now = (
                 f"this machine does not have the address {host} now, under which its {self._registered} registered:"
                 " no program can connect; connect this machine to that network, or restart the daemon with its current"
                 f" address ({self._settings})"
             )
-        if self.trouble and not before:
-            _log.warning("%s: %s", self._side, self.trouble)
-        elif before and not self.trouble:
+        self.trouble = now  # other threads read it at any time
+        if now and not before:
+            _log.warning("%s: %s", self._side, now)
+        elif before and not now:
             _log.info(
                 "%s: this machine has the address again under which its %s registered", self._side, self._registered
             )
