@@ -220,6 +220,17 @@ class DelayedCalls(_OneThread):
             if self._due[0][1] == number:
                 self._condition.notify()
 
+    def within(self, seconds: float, call: Job) -> None:
+        """Schedule a call after ``seconds``, unless it is already scheduled for an earlier time; drop a later one."""
+        with self._condition:
+            due = time.monotonic() + seconds
+            scheduled = [entry for entry in self._due if entry[2] == call]
+            if self._closed or any(entry[0] <= due for entry in scheduled):
+                return
+            self._due = [entry for entry in self._due if entry not in scheduled]
+            heapq.heapify(self._due)
+        self.after(seconds, call)
+
     def every(self, seconds: float, call: Job, first: float | None = None) -> None:
         """Make a call regularly until `close`, ``seconds`` after the end of the last one, even if that one failed.
 

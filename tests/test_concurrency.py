@@ -137,6 +137,25 @@ def test_a_regular_call_is_repeated_after_a_failure() -> None:
         until(lambda: len(made) > 2, "the call is repeated")
 
 
+def test_a_call_within_a_time_runs_at_the_earliest_of_the_requested_times() -> None:
+    calls = DelayedCalls("calls")
+    executed: list[str] = []
+
+    def call() -> None:
+        executed.append("call")
+
+    try:
+        calls.within(1000.0, call)
+        calls.after(0.2, lambda: executed.append("last"))
+        calls.within(0.1, call)
+        calls.within(900.0, call)
+        until(lambda: "last" in executed, "the calls are made")
+        assert executed == ["call", "last"]
+        assert [entry for entry in calls._due if entry[2] == call] == [], "the later request has been dropped"
+    finally:
+        calls.close()
+
+
 def test_a_call_requested_twice_with_once_runs_once() -> None:
     calls, executed = DelayedCalls("delayed"), list[str]()
     begun, go_on = threading.Semaphore(0), threading.Semaphore(0)

@@ -249,7 +249,7 @@ class LaneSubscription(HubSubscription):
 
     def _schedule(self) -> None:
         if self._sequencer.early:
-            self._lane.calls.after(EARLY_SECONDS, self._release_due, once=True)
+            self._lane.calls.within(EARLY_SECONDS, self._release_due)
 
     def _release_due(self) -> None:
         """Deliver the messages that were held for the maximum time."""
@@ -257,7 +257,7 @@ class LaneSubscription(HubSubscription):
         with self._lock:
             due = self._sequencer.due()
         if due is not None:
-            self._lane.calls.after(due - time.monotonic(), self._release_due, once=True)
+            self._lane.calls.within(due - time.monotonic(), self._release_due)
 
     def _release(self, now: float) -> None:
         with self._delivery:

@@ -257,6 +257,22 @@ def test_a_large_message_that_waits_for_an_earlier_one_is_copied(
     subscriber.expect("first", "last")
 
 
+def test_an_early_message_does_not_wait_for_that_of_a_publisher_whose_lane_is_left(
+    reader: Hub, writer: Hub, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    subscriber, ours = Subscriber(reader, "/t"), advertise(writer, "/t")
+    chosen = subscription(subscriber)
+    goes_by(subscriber, "lane")
+    ours.put(b"first")
+    subscriber.expect("first")
+    monkeypatch.setattr(chosen._sequencer, "_both", lambda _gid: True)
+    chosen._lane.calls.within(1000.0, chosen._release_due)  # as for a message that waits for a lane that is left
+    (inlet,) = chosen._lanes.inlets
+    lent = LentPayload(memoryview(b"last"), lambda: None)
+    chosen.on_message(inlet, (ours.sender.sequence + 2, time.time_ns(), ours.gid), lent)
+    subscriber.expect("first", "last")
+
+
 def test_subscription_that_is_closed_while_it_joins_a_lane_leaves_it(
     reader: Hub, writer: Hub, monkeypatch: pytest.MonkeyPatch
 ) -> None:
