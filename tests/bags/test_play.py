@@ -87,7 +87,8 @@ class Listener:
 
 @pytest.fixture
 def listener(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch) -> Iterator[Listener]:
-    monkeypatch.setattr("bridge.cli.bags.play.MATCH_SECONDS", 40.0)  # for a busy machine
+    for limit in ("APPEAR_SECONDS", "MATCH_SECONDS"):
+        monkeypatch.setattr(f"bridge.cli.bags.play.{limit}", 40.0)  # for a busy machine
     with Hub.open(hubs.settings("listener")) as hub:
         built = Listener(hub)
         built.on_message("/said", "std_msgs/msg/String")

@@ -1,8 +1,9 @@
-"""The zero velocities at the end of a play, with a stand-in for the hub."""
+"""The begin of a play and the zero velocities at its end, with a stand-in for the hub."""
 
 from __future__ import annotations
 
 import itertools
+import threading
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,6 +16,7 @@ from bridge.bags.play.topics import PlayTopic
 from bridge.hub.wire.qos import Qos
 from bridge.messages.definitions.schema import World
 from bridge.messages.registry import Registry
+from tests.support.clock import Clock
 
 TWIST = "geometry_msgs/msg/Twist"
 DRIVE = PlayTopic(BagTopic("/cmd_vel", TWIST, World.ROS2), "/cmd_vel", TWIST, "", None, "", Qos(), command=True)
@@ -47,3 +49,54 @@ def test_zero_is_repeated_although_the_whole_machine_stalls(monkeypatch: pytest.
     assert velocity == b"velocity"
     assert len(zeros) == 1 + play_output._ZEROS
     assert len(set(zeros)) == 1
+
+
+class Subscribed(Publisher):
+    """A publisher whose subscriber zenoh matches at a time of the test's clock."""
+
+    topic = DRIVE.name
+
+    def __init__(self, clock: Clock, at: float) -> None:
+        super().__init__()
+        self._clock, self._at = clock, at
+
+    def matched(self) -> bool:
+        return self._clock.now >= self._at
+
+
+@pytest.mark.parametrize(
+    ("appears", "matched", "expected", "waited"),
+    [
+        (0.5, 3.0, (["/cmd_vel"], []), 3.0),
+        (0.5, 9.0, (["/cmd_vel"], ["/cmd_vel"]), 5.0),
+        (9.0, 9.0, ([], []), 1.0),
+    ],
+)
+def test_a_play_waits_for_the_subscribers_that_appear_soon(
+    monkeypatch: pytest.MonkeyPatch,
+    appears: float,
+    matched: float,
+    expected: tuple[list[str], list[str]],
+    waited: float,
+) -> None:
+    clock = Clock()
+    begin = clock.now
+    publisher = Subscribed(clock, begin + matched)
+
+    def subscriptions(_topic: str) -> list[Any]:
+        return [SimpleNamespace(own=False)] if clock.now >= begin + appears else []
+
+    class Ended(threading.Event):
+        """Lets time pass instead of waiting."""
+
+        def wait(self, timeout: float | None = None) -> bool:
+            clock.now += timeout or 0.0
+            return False
+
+    monkeypatch.setattr(play_output, "time", clock)
+    graph = SimpleNamespace(subscriptions=subscriptions)
+    hub: Any = SimpleNamespace(publisher=lambda *_, **__: publisher, serve=lambda *_: lambda: None, graph=graph)
+    played = HubOutput(hub, Registry(), [DRIVE])
+    assert played.await_listeners(1.0, 5.0, Ended()) == expected
+    assert clock.now - begin == pytest.approx(waited, abs=0.2)
+    played.close()

@@ -144,24 +144,20 @@ class HubOutput:
         }
         return {name: nodes for name, nodes in nodes_of.items() if nodes}
 
-    def await_listeners(self, seconds: float, ended: threading.Event) -> bool:
-        """Wait until zenoh has matched the subscribers in the hub's graph; return whether there are any.
+    def await_listeners(self, appear: float, match: float, ended: threading.Event) -> tuple[list[str], list[str]]:
+        """Wait until zenoh has matched the subscribers in the hub's graph.
 
-        The wait ends after ``seconds``, or when ``ended`` is set.
+        The wait ends after ``appear`` seconds if there are none, after ``match`` seconds in any case, or when ``ended``
+        is set. Return the topics with subscribers, and those of them that are not matched.
         """
-        end = time.monotonic() + seconds
-        graph = self._hub.graph
+        begin, graph = time.monotonic(), self._hub.graph
         ends = [*self._publishers.values(), *([self._clock] if self._clock is not None else [])]
         while True:
-            subscribed = [
-                publisher for publisher in ends if any(not s.own for s in graph.subscriptions(publisher.topic))
-            ]
-            if (
-                (subscribed and all(publisher.matched() for publisher in subscribed))
-                or time.monotonic() >= end
-                or ended.wait(_POLL_SECONDS)
-            ):
-                return bool(subscribed)
+            subscribed = [end for end in ends if any(not s.own for s in graph.subscriptions(end.topic))]
+            unmatched = [end.topic for end in subscribed if not end.matched()]
+            limit = begin + (match if subscribed else appear)
+            if (subscribed and not unmatched) or time.monotonic() >= limit or ended.wait(_POLL_SECONDS):
+                return [end.topic for end in subscribed], unmatched
 
     def close(self) -> None:
         """Close the publishers, after the last zero velocity. Safe to call twice."""

@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from bridge.bags.play.topics import LeftOut, PlayTopic
 
 CLOCK_HZ = 40.0
-MATCH_SECONDS = 1.0  # maximum wait for subscribers on the hub before playing
+APPEAR_SECONDS, MATCH_SECONDS = 1.0, 5.0
+"""Before playing, the maximum waits until the hub's graph lists subscribers, and until those can receive messages."""
 _EPILOG = """\
 Keys in a terminal: space pauses and resumes, '.' or 's' plays one message while paused, 'q' ends.
 The services /midspan/play/pause (std_srvs/SetBool) and /midspan/play/step (std_srvs/Trigger) also work without one.
@@ -224,7 +225,10 @@ def _begin(args: argparse.Namespace, output: Any, ended: threading.Event) -> Non
         _print_note(
             f"{name} has a publisher already, {', '.join(sorted(set(nodes)))}: subscribers receive both (a live robot?)"
         )
-    if output.await_listeners(MATCH_SECONDS, ended):
+    subscribed, unmatched = output.await_listeners(APPEAR_SECONDS, MATCH_SECONDS, ended)
+    if unmatched and not ended.is_set():
+        _print_note(f"subscribers of {', '.join(unmatched)} are not connected yet: they may miss the first messages")
+    if subscribed:
         # the workers have subscribed; programs on their sides still have to connect to the workers' publishers
         interruptible(ended.wait, args.settle)
 
