@@ -212,7 +212,7 @@ def _content(file: Path, certificate: x509.Certificate) -> Certificate:
 
 
 def signer(file: Path, authorities: Path) -> Certificate | None:
-    """Return the authority that signed a certificate, None if there is none of it in the file of authorities.
+    """Return the authority that signed a certificate, None if the file of authorities lacks it.
 
     The certificate's file may also contain the intermediate authorities between the two (RFC 8446, 4.4.2).
 

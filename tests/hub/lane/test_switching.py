@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -235,10 +235,12 @@ def test_message_that_is_still_on_a_closing_lane_is_received_before_later_ones(
         goes_by(subscriber, "zenoh", "foreign: it has no lane here")
 
 
-def test_a_large_message_that_waits_for_an_earlier_one_is_copied(
-    reader: Hub, writer: Hub, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A subscription that is closed meanwhile may remain until Python's next collection."""
+Waiting = tuple[Subscriber, LaneSubscription, Callable[[LentPayload], None]]
+
+
+@pytest.fixture
+def waiting(reader: Hub, writer: Hub, monkeypatch: pytest.MonkeyPatch) -> Waiting:
+    """A subscriber that has "first", and a function that delivers a message after the next one, which is missing."""
     subscriber, ours = Subscriber(reader, "/t"), advertise(writer, "/t")
     chosen = subscription(subscriber)
     goes_by(subscriber, "lane")
@@ -246,30 +248,30 @@ def test_a_large_message_that_waits_for_an_earlier_one_is_copied(
     subscriber.expect("first")
     monkeypatch.setattr(chosen._sequencer, "_both", lambda _gid: True)
     (inlet,) = chosen._lanes.inlets
+    stamp = (ours.sender.sequence + 2, time.time_ns(), ours.gid)
+    return subscriber, chosen, lambda lent: chosen.on_message(inlet, stamp, lent)
+
+
+def test_a_large_message_that_waits_for_an_earlier_one_is_copied(
+    waiting: Waiting, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A subscription that is closed meanwhile may remain until Python's next collection."""
+    subscriber, chosen, deliver = waiting
     given_back: list[bool] = []
     schedule = chosen._schedule
     monkeypatch.setattr(chosen, "_schedule", lambda: None)  # the message waits until the test has looked
-    lent = LentPayload(memoryview(b"last"), lambda: given_back.append(True))
-    chosen.on_message(inlet, (ours.sender.sequence + 2, time.time_ns(), ours.gid), lent)
-    del lent
+    deliver(LentPayload(memoryview(b"last"), lambda: given_back.append(True)))
     assert (given_back, subscriber.texts()) == ([True], ["first"])
     schedule()
     subscriber.expect("first", "last")
 
 
 def test_an_early_message_does_not_wait_for_that_of_a_publisher_whose_lane_is_left(
-    reader: Hub, writer: Hub, monkeypatch: pytest.MonkeyPatch
+    waiting: Waiting,
 ) -> None:
-    subscriber, ours = Subscriber(reader, "/t"), advertise(writer, "/t")
-    chosen = subscription(subscriber)
-    goes_by(subscriber, "lane")
-    ours.put(b"first")
-    subscriber.expect("first")
-    monkeypatch.setattr(chosen._sequencer, "_both", lambda _gid: True)
+    subscriber, chosen, deliver = waiting
     chosen._lane.calls.within(1000.0, chosen._release_due)  # as for a message that waits for a lane that is left
-    (inlet,) = chosen._lanes.inlets
-    lent = LentPayload(memoryview(b"last"), lambda: None)
-    chosen.on_message(inlet, (ours.sender.sequence + 2, time.time_ns(), ours.gid), lent)
+    deliver(LentPayload(memoryview(b"last"), lambda: None))
     subscriber.expect("first", "last")
 
 
