@@ -223,7 +223,8 @@ def signer(file: Path, authorities: Path) -> Certificate | None:
         for root in roots:
             if _signed(certificate, root):
                 return _content(authorities, root)
-        issuer = next((other for other in between if _signed(certificate, other)), None)
+        authorities_between = (other for other in between if _content(file, other).authority)
+        issuer = next((other for other in authorities_between if _signed(certificate, other)), None)
         if issuer is None:
             return None
         between.remove(issuer)

@@ -76,6 +76,15 @@ def test_intermediate_authorities_in_the_certificates_file(tmp_path: Path, order
     assert signer(files.certificate, files.ca) is None
 
 
+def test_a_machine_is_no_intermediate_authority(tmp_path: Path) -> None:
+    root = Issuer("root")
+    machine = Issuer("other", root, signs=False)
+    files = KeyFiles(tmp_path / "ca.pem", tmp_path / "robot.pem", tmp_path / "robot.key")
+    files.ca.write_bytes(root.pem)
+    files.certificate.write_bytes(Issuer("robot", machine, signs=False).pem + machine.pem)
+    assert signer(files.certificate, files.ca) is None, "TLS refuses it"
+
+
 def test_a_file_without_certificates_is_named(tmp_path: Path) -> None:
     files = made(tmp_path)
     files.ca.write_bytes(b"-----BEGIN NOTHING-----\n")
