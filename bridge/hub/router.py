@@ -40,6 +40,8 @@ from bridge.worker import Health, StatusHead, Worker
 
 _log = logging.getLogger(__name__)
 _ANSWER_SECONDS = 1.0
+_SLOW_SECONDS = 10.0
+"""The time for the answer of a router on a busy machine, such as one that starts at boot."""
 _MAX_MEMBERS = 1000
 """Maximum number of sessions in the status document."""
 
@@ -169,7 +171,12 @@ class RouterWorker(Worker):
                     f"the router cannot listen on {hub.listen} (hub.listen): {zenoh_reason(err)}"
                 ) from None
             holder = probe_router(hub.listen, hub.zenoh)
-            holder_name = "a program that is not zenoh" if holder is None else str(holder)
+            holder_name = "a program that is not zenoh"
+            if holder is None and may_be_slow(hub.listen):
+                holder = probe_router(hub.listen, hub.zenoh, _SLOW_SECONDS)
+                holder_name = f"a program that has not answered as zenoh within {_SLOW_SECONDS:g} s"
+            if holder is not None:
+                holder_name = str(holder)
             if holder is None or holder.mode != "router" or hub.router is True:
                 cure = "" if holder is None else ", or hub.router to auto, which uses that router"
                 raise RuntimeError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import socket
 import threading
 import time
@@ -15,7 +16,7 @@ from bridge.hub.node import Hub
 from bridge.hub.router import RouterInfo, RouterWorker, port_held, probe_router
 from bridge.hub.zenoh_config import MAX_PAYLOAD, make_config, session_tree
 from tests.peers.hub.endpoints import LATCHED, Subscriber, advertise, matched, see_each_other
-from tests.peers.hub.network import HubNetwork
+from tests.peers.hub.network import ROUTER_PROGRAM, HubNetwork
 from tests.support.ports import free_port
 from tests.support.status_documents import check_document
 from tests.support.wait import until
@@ -82,6 +83,25 @@ def test_a_second_router_is_refused_or_stands_by(monkeypatch: pytest.MonkeyPatch
             router = probe_router(network.endpoint, seconds=40.0)
             assert router is not None
             assert router.daemon == "robot1"
+        finally:
+            standby.stop()
+
+
+def test_a_router_that_answers_late_is_used(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("bridge.hub.router._ROUTERS", {ROUTER_PROGRAM.name})
+    with HubNetwork() as network:
+        tried: list[float] = []
+
+        def probe(endpoint: str, settings: object, seconds: float = 1.5) -> RouterInfo | None:
+            network.signal_router(signal.SIGCONT if tried else signal.SIGSTOP)
+            tried.append(seconds)
+            return probe_router(endpoint, None, seconds if len(tried) == 1 else 40.0)
+
+        monkeypatch.setattr("bridge.hub.router.probe_router", probe)
+        standby = RouterWorker()
+        standby.start(router_config(network.endpoint))
+        try:
+            assert (len(tried), standby.health().state) == (2, "standby")
         finally:
             standby.stop()
 

@@ -10,7 +10,7 @@ from bridge.doctor.checks import connections
 from bridge.doctor.context import CheckContext
 from bridge.doctor.daemon_state import own_router, unresponsive_router, zenoh_settings
 from bridge.hub.errors import HubError
-from bridge.hub.router import port_held, port_holder, probe_router
+from bridge.hub.router import may_be_slow, port_held, port_holder, probe_router
 
 
 def check_port(context: CheckContext) -> Findings:
@@ -26,7 +26,8 @@ def check_port(context: CheckContext) -> Findings:
             return fail(deaf, _cure(context.config))
         if not port_held(hub.listen):
             return ok(f"nothing listens at {hub.listen} yet; the daemon's router will")
-        seen = f"{hub.listen} is held by a program that is not zenoh{_holder(hub.listen)}"
+        kind = "has not answered as zenoh" if may_be_slow(hub.listen) else "is not zenoh"
+        seen = f"{hub.listen} is held by a program that {kind}{_holder(hub.listen)}"
         return fail(seen, "stop that program, or set hub.listen to a free port")
     if info.mode != "router":
         return fail(f"{hub.listen} is held by {info}, which routes nothing", "set hub.listen to a free port")

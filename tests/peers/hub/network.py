@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -85,6 +86,11 @@ class HubNetwork:
         )
         until(lambda: "listening" in router.output() or router.popen.poll() is not None, "the router listens")
         assert router.popen.poll() is None, router.output()
+
+    def signal_router(self, number: signal.Signals) -> None:
+        """Send a signal to the router's process."""
+        assert self._router is not None
+        self._router.signal(number)
 
     def stop_router(self) -> None:
         """Stop the router; the other sessions of the hub stay open."""
