@@ -11,7 +11,7 @@ import psutil
 import pytest
 
 from tests.support import processor_share
-from tests.support.processor_share import ProcessorShare
+from tests.support.processor_share import ProcessorShare, ProcessorShares
 
 BUSY = "import time\nwhile time.process_time() < 0.5: pass"
 
@@ -23,6 +23,18 @@ def test_share_is_what_other_programs_left(monkeypatch: pytest.MonkeyPatch, othe
     monkeypatch.setattr(processor_share, "_others", lambda: next(used))
     monkeypatch.setattr(processor_share, "time", SimpleNamespace(monotonic=lambda: next(clock)))
     assert ProcessorShare().least() == share
+
+
+def test_parts_of_the_time_have_their_own_share(monkeypatch: pytest.MonkeyPatch) -> None:
+    used, clock = iter([0.0, 0.0, 1.0, 1.0, 1.0]), iter([0.0, 1.0, 2.0, 3.0, 3.5])
+    monkeypatch.setattr(processor_share, "CPUS", 2)
+    monkeypatch.setattr(processor_share, "_others", lambda: next(used))
+    monkeypatch.setattr(processor_share, "time", SimpleNamespace(monotonic=lambda: next(clock)))
+    shares = ProcessorShares()
+    for _ in range(3):
+        shares._sample()
+    assert shares.during(1.2, 1.8) == 0.5
+    assert shares.during(0.2, 0.8) == 1.0, "the load came later"
 
 
 def test_own_programs_are_not_others(monkeypatch: pytest.MonkeyPatch) -> None:
