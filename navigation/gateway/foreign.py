@@ -53,16 +53,24 @@ class ForeignGoals:
         self.active: tuple[bytes, ...] = ()  # the oldest first
         self.end: ForeignEnd | None = None  # how the last goal ended
         self.doubtful: bytes | None = None  # the newest goal when the list became invalid
+        self._listed: frozenset[bytes] | None = None  # the goals of the last list; None once it is invalid
 
     def doubt(self) -> None:
         """Note that the list became invalid, so that the goal may end or continue unseen."""
+        self._listed = None
         if self.active:
             self.doubtful = self.active[-1]
 
     def update(self, goals: GoalList) -> None:
-        """Read a valid list."""
+        """Read a valid list.
+
+        A goal that is new in it may have ended already, because lists that follow quickly on each other can be missed.
+        """
+        listed = frozenset(goals.all) if self._listed is None else self._listed
+        new = tuple(goal for goal in goals.all if goal not in listed and not self._mark.is_own(goal))
         before, self.active = self.active, tuple(goal for goal in goals.active if not self._mark.is_own(goal))
-        for goal in before:
+        self._listed = frozenset(goals.all)
+        for goal in (*before, *new):
             if goal not in self.active and goal != self.doubtful:
                 self.end = ForeignEnd(goal, _end_of(goals.status(goal)), "")
         doubtful, self.doubtful = self.doubtful, None

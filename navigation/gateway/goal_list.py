@@ -41,6 +41,11 @@ class GoalList:
         return self._received > 0.0 or self._empty
 
     @property
+    def all(self) -> tuple[bytes, ...]:
+        """The goals of the newest list, including those that have ended."""
+        return tuple(self._statuses)
+
+    @property
     def active(self) -> tuple[bytes, ...]:
         """The goals that have not ended according to the newest list, even an invalid one."""
         return tuple(goal for goal, status in self._statuses.items() if not status.ended)
