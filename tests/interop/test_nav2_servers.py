@@ -155,8 +155,8 @@ def test_a_patrol_passes_its_places_without_stops_until_it_is_stopped(rig: Nav2R
         page.value("driving", lambda value: value and value["state"] in ("idle", "goal_reached"))
         before = len(rig.goals("navigate_through_poses"))
         assert page.call("patrol", places=["a", "b"], wait=0)["ok"]
-        page.value("patrol", lambda value: (value["state"], value["round"], value["at"]) == ("drives", 2, 1))
-        assert rig.goals("navigate_through_poses")[before:] == [{"x": [1.0, 2.0] * 10}]
+        page.value("patrol", lambda value: value["state"] == "drives" and value["round"] >= 2)
+        assert rig.goals("navigate_through_poses")[before] == {"x": [1.0, 2.0] * 10}
         until(lambda: rig.base.moves, "the base moves", SECONDS)
         until(lambda: page.call("stop")["ok"], "the stop is confirmed", SECONDS)
         assert not rig.base.moves, "the stop was confirmed"
@@ -165,5 +165,7 @@ def test_a_patrol_passes_its_places_without_stops_until_it_is_stopped(rig: Nav2R
         page.value("patrol", lambda value: (value["round"], value["at"]) == (1, 1))
         until(lambda: page.call("stop")["ok"], "the stop is confirmed", SECONDS)
         assert not rig.base.moves
-        assert len(rig.goals("navigate_through_poses")) == before + 2
+        assert [goal for goal in rig.goals("navigate_through_poses") if 950.0 in goal["x"]] == [
+            {"x": [1.0, 950.0] * 10}
+        ]
     assert midspan("location", "remove", "far").code == 0
