@@ -199,6 +199,7 @@ def test_a_control_that_is_held_during_a_reconnection_is_not_pressed_anew(driven
         if stopped == "refused":
             other = ManualControl(driven.far.hub, "/cmd_vel")
             other.begin("anna (web)")
+            until(lambda: driven.live.host.node.hub.graph.drivers("/cmd_vel"), "the server knows the driver")
             drive_until_refused(app, number, "anna (web) drives manually")
             other.end()
             until(lambda: not driven.live.host.node.hub.graph.drivers("/cmd_vel"), "control is free")
