@@ -53,7 +53,7 @@ class ForeignGoals:
         self.active: tuple[bytes, ...] = ()  # the oldest first
         self.end: ForeignEnd | None = None  # how the last goal ended
         self.doubtful: bytes | None = None  # the newest goal when the list became invalid
-        self._listed: frozenset[bytes] | None = None  # the goals of the last list; None once it is invalid
+        self._listed: frozenset[bytes] | None = None  # foreign goals of the last list; None once it is invalid
 
     def doubt(self) -> None:
         """Note that the list became invalid, so that the goal may end or continue unseen."""
@@ -66,10 +66,10 @@ class ForeignGoals:
 
         A goal that is new in it may have ended already, because lists that follow quickly on each other can be missed.
         """
-        listed = frozenset(goals.all) if self._listed is None else self._listed
-        new = tuple(goal for goal in goals.all if goal not in listed and not self._mark.is_own(goal))
-        before, self.active = self.active, tuple(goal for goal in goals.active if not self._mark.is_own(goal))
-        self._listed = frozenset(goals.all)
+        theirs = frozenset(goal for goal in goals.all if not self._mark.is_own(goal))
+        listed, self._listed = self._listed, theirs
+        new = () if listed is None else tuple(goal for goal in goals.all if goal in theirs - listed)
+        before, self.active = self.active, tuple(goal for goal in goals.active if goal in theirs)
         for goal in (*before, *new):
             if goal not in self.active and goal != self.doubtful:
                 self.end = ForeignEnd(goal, _end_of(goals.status(goal)), "")

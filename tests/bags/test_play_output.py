@@ -1,4 +1,4 @@
-"""The begin of a play and the zero velocities at its end, with a stand-in for the hub."""
+"""The start of a play and the zero velocities at its end, with a stand-in for the hub."""
 
 from __future__ import annotations
 
